@@ -1,0 +1,1 @@
+"""The controller's package: from CANopen frames to corrected angles in Modbus registers."""

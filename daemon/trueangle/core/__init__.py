@@ -1,0 +1,1 @@
+"""Pure rules of the running daemon: bytes and time come in as arguments."""

@@ -1,0 +1,1 @@
+"""The laboratory: from a calibration campaign to a model file, and the simulator of a joint."""
