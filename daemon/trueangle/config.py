@@ -1,0 +1,195 @@
+"""The daemon's configuration: one YAML file, typed and checked as a whole before anything is opened.
+
+Every fault is reported with file and line; unknown keys are faults. Units stand in the key names.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import yaml
+
+from trueangle.contract.document import Pattern, Range, read_document, structure
+from trueangle.contract.encoder import MAX_COUNTS_PER_REV, EncoderSettings
+from trueangle.contract.errors import ContractError, Fault
+from trueangle.contract.metadata import Hash
+
+SCHEMA_VERSION = 1
+MAX_SLOT = 32
+MAX_CONFIG_BYTES = 1_000_000
+
+Name = Annotated[str, Pattern(regex=r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,31}", meaning="1 to 32 letters, digits, . _ -")]
+Index = Annotated[int, Range(minimum=0x1000, maximum=0xFFFF)]
+Subindex = Annotated[int, Range(minimum=0, maximum=254)]
+_MAPPABLE_BITS = (8, 16, 32)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModbusConfig:
+    """The Modbus TCP server. It only ever reads; bind it to the PLC's network by choice, not by default."""
+
+    host: str = "127.0.0.1"
+    port: Annotated[int, Range(minimum=0, maximum=65535)] = 5020
+    """0 takes a free port and logs it."""
+    unit_id: Annotated[int, Range(minimum=1, maximum=247)] = 1
+    """Answered beside 0 and 255."""
+    max_connections: Annotated[int, Range(minimum=1, maximum=1000)] = 32
+    max_connections_per_client: Annotated[int, Range(minimum=1, maximum=1000)] = 8
+    idle_timeout_s: Annotated[float, Range(minimum=1, maximum=86400)] = 60.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusConfig:
+    """One CAN bus, opened through python-can."""
+
+    name: Name
+    interface: str
+    """python-can's name of the interface: socketcan, socketcand, slcan, pcan, ..."""
+    channel: str
+    bitrate: Annotated[int, Range(minimum=10_000, maximum=1_000_000)] | None = None
+    """Only where the interface sets it; SocketCAN's is set when the interface is brought up."""
+    options: Mapping[str, str | int | float | bool] = field(default_factory=dict[str, str | int | float | bool])
+    """Further arguments of the python-can interface, such as host and port of a socketcand."""
+    sync_period_ms: Annotated[float, Range(minimum=0.5, maximum=10_000)] | None = None
+    """The daemon sends SYNC at this period; left out, another node does."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TemperatureConfig:
+    """The object that holds the joint's temperature: never guessed, CANopen knows no common one."""
+
+    index: Index
+    subindex: Subindex
+    bits: int = 16
+    signed: bool = True
+    degc_per_unit: Annotated[float, Range(minimum=1e-9, maximum=1000)]
+    """0.01 for CiA 404 with two decimal digits (0x6132 = 2)."""
+    offset_c: float = 0.0
+    every_syncs: Annotated[int, Range(minimum=1, maximum=240)] = 20
+    """The node sends it with every that-many SYNC."""
+    minimum_c: float = -55.0
+    maximum_c: float = 125.0
+    """A value outside is a broken sensor, not a temperature (defaults: range of the DS18B20)."""
+    stale_s: Annotated[float, Range(minimum=0.01, maximum=3600)] = 10.0
+
+    def __post_init__(self) -> None:
+        _check_bits(self.bits)
+        if self.maximum_c <= self.minimum_c:
+            expected = f"more than minimum_c ({self.minimum_c:g})"
+            raise ContractError([Fault(where="maximum_c", expected=expected, found=f"{self.maximum_c:g}")])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SequenceConfig:
+    """An optional manufacturer object that counts the samples, mapped beside the position: shows lost frames."""
+
+    index: Index
+    subindex: Subindex
+    bits: int = 16
+
+    def __post_init__(self) -> None:
+        _check_bits(self.bits)
+
+
+def _check_bits(bits: int) -> None:
+    if bits not in _MAPPABLE_BITS:
+        raise ContractError([Fault(where="bits", expected="8, 16 or 32", found=str(bits))])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EncoderConfig:
+    """The encoder expected at this node; what is left out is not compared."""
+
+    counts_per_rev: Annotated[int, Range(minimum=2, maximum=MAX_COUNTS_PER_REV)]
+    settings: EncoderSettings = field(default_factory=EncoderSettings)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointConfig:
+    """One joint: its node, its encoder, its temperature, its model, its place in the registers."""
+
+    slot: Annotated[int, Range(minimum=1, maximum=MAX_SLOT)]
+    """Place in the register map; said, not counted, so that a new joint moves no address."""
+    name: Name
+    bus: str
+    node_id: Annotated[int, Range(minimum=1, maximum=127)]
+    model: str
+    """Path of the model file, relative to the configuration file."""
+    model_sha256: Hash | None = None
+    """Pins the very file; any other is refused."""
+    encoder: EncoderConfig
+    temperature: TemperatureConfig
+    sequence: SequenceConfig | None = None
+    stale_ms: Annotated[float, Range(minimum=1, maximum=60_000)] = 50.0
+    """A position older than this is not served as corrected."""
+    heartbeat_ms: Annotated[int, Range(minimum=10, maximum=10_000)] = 200
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DaemonConfig:
+    """The whole configuration file."""
+
+    schema_version: Annotated[int, Range(minimum=SCHEMA_VERSION, maximum=SCHEMA_VERSION)]
+    buses: tuple[BusConfig, ...]
+    joints: tuple[JointConfig, ...]
+    modbus: ModbusConfig = field(default_factory=ModbusConfig)
+
+    def __post_init__(self) -> None:
+        faults: list[Fault] = []
+        if not self.buses:
+            faults.append(Fault(where="buses", expected="at least one bus", found="none"))
+        if not self.joints:
+            faults.append(Fault(where="joints", expected="at least one joint", found="none"))
+        faults += _repeated("buses", "name", [bus.name for bus in self.buses], "a name of its own")
+        faults += _repeated("joints", "name", [j.name for j in self.joints], "a name of its own")
+        slots = [j.slot for j in self.joints]
+        faults += _repeated("joints", "slot", slots, "registers of its own")
+        nodes = [f"node {j.node_id} on bus {j.bus}" for j in self.joints]
+        faults += _repeated("joints", "node_id", nodes, "a node of its own")
+        names = {bus.name for bus in self.buses}
+        for i, joint in enumerate(self.joints):
+            if joint.bus not in names:
+                expected = f"one of the buses: {', '.join(sorted(names))}"
+                faults.append(Fault(where=f"joints[{i}].bus", expected=expected, found=joint.bus))
+        if faults:
+            raise ContractError(faults)
+
+
+def _repeated(group: str, key: str, values: list[str] | list[int], expected: str) -> list[Fault]:
+    return [
+        Fault(
+            where=f"{group}[{i}].{key}",
+            expected=expected,
+            found=f"{value}, which is also that of {group}[{values.index(value)}]",  # pyright: ignore[reportArgumentType]
+        )
+        for i, value in enumerate(values)
+        if values.index(value) < i  # pyright: ignore[reportArgumentType]
+    ]
+
+
+def parse_config(text: str, *, source: str) -> DaemonConfig:
+    """The configuration in this YAML text; ContractError with every fault, by file and line."""
+    document = read_document(text, source=source, loader=yaml.SafeLoader, syntax_error=yaml.YAMLError)
+    return structure(DaemonConfig, document)
+
+
+def load_config(path: Path) -> DaemonConfig:
+    """The configuration file; ContractError also where it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_CONFIG_BYTES + 1)
+        if len(data) > MAX_CONFIG_BYTES:
+            found = "a larger file"
+            raise ContractError(
+                [Fault(where=str(path), expected=f"at most {MAX_CONFIG_BYTES} bytes", found=found)]
+            )
+        text = data.decode("utf-8-sig")
+    except OSError as error:
+        found = error.strerror or str(error)
+        raise ContractError([Fault(where=str(path), expected="a readable file", found=found)]) from error
+    except UnicodeDecodeError as error:
+        line = error.object[: error.start].count(b"\n") + 1
+        where = f"{path} line {line}"
+        raise ContractError([Fault(where=where, expected="UTF-8 text", found="other bytes")]) from error
+    return parse_config(text, source=str(path))

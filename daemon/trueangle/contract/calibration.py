@@ -1,0 +1,303 @@
+"""The campaign file: one reading a row, as CSV (columns of MEASURED.csv).
+
+Read by train, compare and diagnose, written by simulate and by the daemon's recorder. UTF-8, comma, decimal
+point, header required; lines beginning with # are ignored; an empty cell is a missing value; unknown columns are
+ignored with a note.
+"""
+
+import csv
+import hashlib
+import io
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueangle.contract.errors import ContractError, Fault
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+REQUIRED_COLUMNS = ("angle_deg", "error_arcsec")
+FLOAT_COLUMNS = ("temperature_c", "time_s", "velocity_deg_s", "load_nm")
+INTEGER_COLUMNS = ("run", "zero_group", "direction", "face", "polygon_offset")
+COLUMNS = (
+    "angle_deg",
+    "error_arcsec",
+    "temperature_c",
+    "run",
+    "zero_group",
+    "time_s",
+    "direction",
+    "velocity_deg_s",
+    "load_nm",
+    "face",
+    "polygon_offset",
+)
+"""In the order in which they are written."""
+
+MAX_FAULTS = 20
+"""More faults than this are counted, not listed."""
+NEW_RUN_GAP_S = 600.0
+NEW_RUN_STEP_C = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Campaign:
+    """The readings of one calibration campaign; every array has shape [readings].
+
+    Optional columns are None where the file has none (or none with a value in it). A missing cell of a float
+    column is NaN, arrays having no other way; of `direction` it is 0; in the other integer columns it is a fault,
+    because which run, zero or face a reading belongs to cannot be left open for some readings only.
+    """
+
+    angle_deg: Floats
+    """Encoder-indicated angle, any finite real."""
+    error_arcsec: Floats
+    """Indicated minus reference."""
+    run: Integers
+    """Readings between two set-ups: the statistical unit."""
+    zero_group: Integers
+    """Readings that share one zero."""
+    row: Integers
+    """1-based line of the file, for messages."""
+    source: str
+    sha256: str
+    """Of the file's bytes."""
+    temperature_c: Floats | None = None
+    time_s: Floats | None = None
+    direction: Integers | None = None
+    """+1 approached with increasing indicated angle, -1 decreasing, 0 not known (an empty cell)."""
+    velocity_deg_s: Floats | None = None
+    load_nm: Floats | None = None
+    face: Integers | None = None
+    """Polygon face 1..n; 0 where a reference encoder was used."""
+    polygon_offset: Integers | None = None
+    notes: tuple[str, ...] = ()
+    """What was left out or assumed, in plain words."""
+
+    def __len__(self) -> int:
+        return int(self.angle_deg.size)
+
+
+def read_campaign(data: bytes, *, source: str) -> Campaign:
+    """Parse a campaign file; ContractError lists what is wrong by line."""
+    text = _decoded(data, source)
+    header, rows = _table(text, source)
+    faults: list[Fault] = []
+    columns: dict[str, Floats] = {}
+    lines = np.array([line for line, _ in rows], dtype=np.int64)
+    for name in COLUMNS:
+        if name in header:
+            cells = [cells[header.index(name)] for _, cells in rows]
+            if name in REQUIRED_COLUMNS or any(cells):
+                columns[name] = _numbers(name, cells, lines, source, faults)
+    for name in INTEGER_COLUMNS:
+        if name in columns:
+            _check_integers(name, columns[name], lines, source, faults)
+    _raise(faults, source)
+    notes = [f"column {name} is unknown and was ignored" for name in header if name not in COLUMNS]
+    complete = ~(np.isnan(columns["angle_deg"]) | np.isnan(columns["error_arcsec"]))
+    if not complete.all():
+        missing = lines[~complete]
+        shown = ", ".join(str(line) for line in missing[:10]) + (", ..." if missing.size > 10 else "")
+        notes.append(f"{missing.size} readings without angle or error were left out (lines {shown})")
+    columns = {name: values[complete] for name, values in columns.items()}
+    lines = lines[complete]
+    if lines.size == 0:
+        raise ContractError([Fault(where=source, expected="at least one reading", found="none")])
+    return _campaign(columns, lines, source, hashlib.sha256(data).hexdigest(), notes)
+
+
+def _campaign(columns: dict[str, Floats], lines: Integers, source: str, sha256: str, notes: list[str]) -> Campaign:
+    integers = {name: np.nan_to_num(columns[name]).astype(np.int64) for name in INTEGER_COLUMNS if name in columns}
+    run = integers.get("run")
+    if run is None:
+        run = derive_runs(
+            columns["angle_deg"],
+            direction=integers.get("direction"),
+            time_s=columns.get("time_s"),
+            temperature_c=columns.get("temperature_c"),
+        )
+        notes.append(
+            f"no column run: {np.unique(run).size} runs were told apart by angle, direction, time, temperature"
+        )
+    zero_group = integers.get("zero_group")
+    if zero_group is None:
+        zero_group = derive_zero_groups(run, face=integers.get("face"))
+    return Campaign(
+        angle_deg=columns["angle_deg"],
+        error_arcsec=columns["error_arcsec"],
+        run=run,
+        zero_group=zero_group,
+        row=lines,
+        source=source,
+        sha256=sha256,
+        temperature_c=columns.get("temperature_c"),
+        time_s=columns.get("time_s"),
+        direction=integers.get("direction"),
+        velocity_deg_s=columns.get("velocity_deg_s"),
+        load_nm=columns.get("load_nm"),
+        face=integers.get("face"),
+        polygon_offset=integers.get("polygon_offset"),
+        notes=tuple(notes),
+    )
+
+
+def _decoded(data: bytes, source: str) -> str:
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data[: error.start].count(b"\n") + 1
+        found = f"byte 0x{data[error.start]:02x}"
+        where = f"{source} line {line}"
+        raise ContractError([Fault(where=where, expected="UTF-8 text", found=found)]) from error
+
+
+def _table(text: str, source: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """Header and rows with their line numbers; comment and blank lines left out."""
+    header: list[str] | None = None
+    rows: list[tuple[int, list[str]]] = []
+    faults: list[Fault] = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        try:
+            cells = [cell.strip() for cell in next(csv.reader([line]))]
+        except csv.Error as error:
+            where = f"{source} line {number}"
+            raise ContractError([Fault(where=where, expected="a line of CSV", found=str(error))]) from error
+        if header is None:
+            header = cells
+            _check_header(header, f"{source} line {number}")
+        elif len(cells) != len(header):
+            advice = "is a decimal comma in it?" if len(cells) > len(header) else ""
+            found = f"{len(cells)} cells"
+            where = f"{source} line {number}"
+            faults.append(Fault(where=where, expected=f"{len(header)} cells", found=found, advice=advice))
+        else:
+            rows.append((number, cells))
+    if header is None:
+        raise ContractError(
+            [Fault(where=source, expected="a header line with column names", found="an empty file")]
+        )
+    _raise(faults, source)
+    if not rows:
+        raise ContractError([Fault(where=source, expected="at least one reading", found="only a header")])
+    return header, rows
+
+
+def _check_header(header: list[str], where: str) -> None:
+    faults: list[Fault] = []
+    missing = [name for name in REQUIRED_COLUMNS if name not in header]
+    if missing:
+        found = ", ".join(header) if header else "nothing"
+        advice = "columns are separated by commas" if any(";" in n or "\t" in n for n in header) else ""
+        faults.append(Fault(where=where, expected=f"the columns {', '.join(missing)}", found=found, advice=advice))
+    faults += [
+        Fault(where=where, expected="each column once", found=f"{name} {header.count(name)} times")
+        for name in sorted(set(header))
+        if header.count(name) > 1 and name in COLUMNS
+    ]
+    if faults:
+        raise ContractError(faults)
+
+
+def _numbers(name: str, cells: list[str], lines: Integers, source: str, faults: list[Fault]) -> Floats:
+    """The column as numbers, NaN where the cell is empty."""
+    values = np.full(len(cells), np.nan)
+    for i, cell in enumerate(cells):
+        if cell == "":
+            continue
+        try:
+            number = float(cell) if "_" not in cell else math.nan
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            where = f"{source} line {lines[i]}, column {name}"
+            faults.append(Fault(where=where, expected="a finite number", found=repr(cell)))
+        values[i] = number
+    return values
+
+
+def _check_integers(name: str, values: Floats, lines: Integers, source: str, faults: list[Fault]) -> None:
+    allowed = {"direction": "1 or -1", "face": "a whole number from 0"}.get(name, "a whole number")
+    present = ~np.isnan(values)
+    wrong = present & (values != np.round(values))
+    if name == "direction":
+        wrong |= present & ~np.isin(values, (-1.0, 1.0))
+    if name == "face":
+        wrong |= present & (values < 0)
+    wrong |= np.abs(np.where(present, values, 0.0)) > 2**53
+    if name != "direction":
+        wrong |= ~present
+    for i in np.flatnonzero(wrong):
+        found = "an empty cell" if not present[i] else f"{values[i]:g}"
+        faults.append(Fault(where=f"{source} line {lines[i]}, column {name}", expected=allowed, found=found))
+
+
+def _raise(faults: list[Fault], source: str) -> None:
+    if not faults:
+        return
+    if len(faults) > MAX_FAULTS:
+        more = Fault(
+            where=source, expected="no further faults", found=f"{len(faults) - MAX_FAULTS} more like these"
+        )
+        faults = [*faults[:MAX_FAULTS], more]
+    raise ContractError(faults)
+
+
+def derive_runs(
+    angle_deg: Floats, *, direction: Integers | None, time_s: Floats | None, temperature_c: Floats | None
+) -> Integers:
+    """Run numbers where the file has none, shape [readings].
+
+    A new run begins where the angle falls back by more than half its span, the direction changes, the time gap
+    exceeds 10 minutes or the temperature steps by more than 1 degC.
+    """
+    starts = np.zeros(angle_deg.size, dtype=bool)
+    span = float(np.ptp(angle_deg))
+    along = np.diff(angle_deg)
+    if direction is not None:
+        along = along * direction[1:]
+        starts[1:] |= direction[1:] != direction[:-1]
+    starts[1:] |= along < -span / 2
+    if time_s is not None:
+        starts[1:] |= np.abs(np.diff(time_s)) > NEW_RUN_GAP_S
+    if temperature_c is not None:
+        starts[1:] |= np.abs(np.diff(temperature_c)) > NEW_RUN_STEP_C
+    return np.cumsum(starts).astype(np.int64)
+
+
+def derive_zero_groups(run: Integers, *, face: Integers | None) -> Integers:
+    """Zero groups where the file has none, shape [readings].
+
+    Each run with polygon faces is its own group (Eq. 11 zeroes it at its first row); all readings against a
+    reference encoder (face 0) share one zero; without a face column each run is its own group.
+    """
+    if face is None:
+        return run.copy()
+    shared = int(run.max()) + 1
+    return np.where(face > 0, run, shared).astype(np.int64)
+
+
+def campaign_to_csv(campaign: Campaign, *, comments: Iterable[str] = ()) -> str:
+    """The campaign as CSV text; reading it back gives the same readings."""
+    out = io.StringIO()
+    for comment in comments:
+        for line in comment.splitlines():
+            out.write(f"# {line}\n")
+    present = [name for name in COLUMNS if getattr(campaign, name) is not None]
+    out.write(",".join(present) + "\n")
+    columns = [_cells(name, getattr(campaign, name)) for name in present]
+    for cells in zip(*columns, strict=True):
+        out.write(",".join(cells) + "\n")
+    return out.getvalue()
+
+
+def _cells(name: str, values: NDArray[np.float64] | NDArray[np.int64]) -> list[str]:
+    if name in INTEGER_COLUMNS:
+        return [str(int(value)) for value in values]
+    return ["" if math.isnan(value) else repr(float(value)) for value in values]

@@ -1,0 +1,52 @@
+"""The correction of all joints in one pass: `corrected = raw + correction`, in float64.
+
+A model is anything with `correct`; the daemon gives it ONNX sessions, tests a formula.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueangle.contract.units import ARCSEC_PER_DEG, wrap_deg
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelAnswer:
+    """What a model says of n samples."""
+
+    correction_arcsec: NDArray[np.float64]
+    """Shape [n]."""
+    uncertainty_arcsec: NDArray[np.float64] | None
+    """Shape [n], k = 1; None where the method has none."""
+
+
+class CorrectionModel(Protocol):
+    """One joint's model."""
+
+    def correct(self, angle_deg: NDArray[np.float64], temperature_c: NDArray[np.float64]) -> ModelAnswer:
+        """Corrections for n samples, shapes [n]."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Correction:
+    """The model's word on one sample; non-finite values are kept, `health` judges them."""
+
+    correction_arcsec: float
+    uncertainty_arcsec: float | None
+
+    def corrected_deg(self, raw_deg: float) -> float:
+        """The corrected angle in [0, 360)."""
+        return wrap_deg(raw_deg + self.correction_arcsec / ARCSEC_PER_DEG)
+
+
+def correct_one(model: CorrectionModel, raw_deg: float, temperature_c: float) -> Correction:
+    """One joint's correction from its model."""
+    answer = model.correct(np.array([raw_deg]), np.array([temperature_c]))
+    uncertainty = answer.uncertainty_arcsec
+    return Correction(
+        correction_arcsec=float(answer.correction_arcsec[0]),
+        uncertainty_arcsec=None if uncertainty is None else float(uncertainty[0]),
+    )

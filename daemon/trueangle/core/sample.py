@@ -1,0 +1,103 @@
+"""The latest sample of one joint, kept from frames: position, temperature, sequence, each with its time.
+
+Rules of this file: only what arrived is kept; a repeated sequence number refreshes nothing (a frozen or doubled
+frame must grow old); a node that leaves service takes its samples with it.
+"""
+
+from dataclasses import dataclass
+
+from trueangle.contract.encoder import counts_to_deg
+from trueangle.contract.units import DEG_PER_TURN
+from trueangle.core.frames import FrameLayout, Quantity
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SampleScale:
+    """How the raw numbers of one joint become units."""
+
+    counts_per_rev: int
+    degc_per_unit: float
+    offset_c: float
+    sequence_modulus: int | None
+    """2^bits of the sequence object; None where the node has none."""
+
+
+class JointSample:
+    """Mutable state of one joint, touched by the pipeline alone."""
+
+    __slots__ = (
+        "frames_lost",
+        "frames_received",
+        "frames_repeated",
+        "position_counts",
+        "raw_deg",
+        "scale",
+        "sequence",
+        "stamp_ns",
+        "temperature_c",
+        "temperature_stamp_ns",
+        "velocity_deg_s",
+    )
+
+    def __init__(self, scale: SampleScale) -> None:
+        self.scale = scale
+        self.frames_received = 0
+        self.frames_lost = 0
+        self.frames_repeated = 0
+        self.forget()
+
+    def forget(self) -> None:
+        """The node left service: nothing that it said before counts any more. Frame counters stay."""
+        self.position_counts: int | None = None
+        self.raw_deg: float | None = None
+        self.stamp_ns: int | None = None
+        self.sequence: int | None = None
+        self.velocity_deg_s: float | None = None
+        self.temperature_c: float | None = None
+        self.temperature_stamp_ns: int | None = None
+
+    def take(self, layout: FrameLayout, data: bytes, stamp_ns: int) -> bool:
+        """Decode one frame of the right length; True when a new position came with it."""
+        position: int | None = None
+        sequence: int | None = None
+        for quantity, value in zip(layout.quantities, layout.unpack.unpack(data), strict=True):
+            if quantity is Quantity.POSITION:
+                position = value
+            elif quantity is Quantity.SEQUENCE:
+                sequence = value
+            else:
+                self.temperature_c = value * self.scale.degc_per_unit + self.scale.offset_c
+                self.temperature_stamp_ns = stamp_ns
+        if position is None or not self._is_new(sequence):
+            return False
+        self._move_to(position, stamp_ns)
+        return True
+
+    def _is_new(self, sequence: int | None) -> bool:
+        """Count received, lost and repeated position frames by their sequence number."""
+        modulus = self.scale.sequence_modulus
+        if sequence is not None and modulus is not None:
+            if self.sequence is not None:
+                step = (sequence - self.sequence) % modulus
+                if step == 0:
+                    self.frames_repeated += 1
+                    return False
+                self.frames_lost += step - 1
+            self.sequence = sequence
+        self.frames_received += 1
+        return True
+
+    def _move_to(self, position: int, stamp_ns: int) -> None:
+        per_rev = self.scale.counts_per_rev
+        if self.position_counts is not None and self.stamp_ns is not None and stamp_ns > self.stamp_ns:
+            moved = (position - self.position_counts + per_rev // 2) % per_rev - per_rev // 2
+            elapsed_s = (stamp_ns - self.stamp_ns) * 1e-9
+            self.velocity_deg_s = moved * DEG_PER_TURN / per_rev / elapsed_s
+        self.position_counts = position
+        self.raw_deg = counts_to_deg(position, per_rev)
+        self.stamp_ns = stamp_ns
+
+    @property
+    def turns(self) -> int | None:
+        """Whole turns in the position value."""
+        return None if self.position_counts is None else self.position_counts // self.scale.counts_per_rev

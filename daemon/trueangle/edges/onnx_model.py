@@ -1,0 +1,150 @@
+"""The model file: loaded from bytes, checked against the contract, its probes replayed, then run.
+
+The only module that touches ONNX Runtime. A file that disagrees in anything is refused as a whole, before the
+first angle is served. Nothing of a graph is ever edited here.
+"""
+
+import hashlib
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import onnxruntime  # pyright: ignore[reportMissingTypeStubs]
+from numpy.typing import NDArray
+
+from trueangle.contract.errors import ContractError, Fault
+from trueangle.contract.metadata import (
+    ANGLE_INPUT,
+    CORRECTION_OUTPUT,
+    METADATA_KEY,
+    TEMPERATURE_INPUT,
+    UNCERTAINTY_OUTPUT,
+    ModelMetadata,
+    metadata_from_json,
+    probe_disagreement,
+)
+from trueangle.core.correction import ModelAnswer
+
+MAX_MODEL_BYTES = 16 * 2**20
+_EXTERNAL_DATA = b"\x0a\x08location\x12"
+"""How a tensor names a file beside the model (onnx.proto, TensorProto.external_data, key "location")."""
+_RUNTIME_ERRORS: tuple[type[Exception], ...] = (RuntimeError, ValueError, TypeError, KeyError, IndexError)
+"""What ONNX Runtime raises: its own exceptions all derive from these."""
+
+
+class OnnxModel:
+    """One joint's model, checked and ready; see `load_model`."""
+
+    def __init__(self, session: Any, metadata: ModelMetadata, sha256: str, *, has_uncertainty: bool) -> None:
+        self._session = session
+        self._outputs = [CORRECTION_OUTPUT, UNCERTAINTY_OUTPUT] if has_uncertainty else [CORRECTION_OUTPUT]
+        self.metadata = metadata
+        self.sha256 = sha256
+
+    def correct(self, angle_deg: NDArray[np.float64], temperature_c: NDArray[np.float64]) -> ModelAnswer:
+        """Corrections for n samples, shapes [n]; a run that fails gives NaN, which `health` refuses."""
+        feed = {ANGLE_INPUT: angle_deg, TEMPERATURE_INPUT: temperature_c}
+        try:
+            answers = cast("list[NDArray[np.float64]]", self._session.run(self._outputs, feed))
+        except _RUNTIME_ERRORS:
+            return ModelAnswer(correction_arcsec=np.full(angle_deg.shape, np.nan), uncertainty_arcsec=None)
+        return ModelAnswer(
+            correction_arcsec=answers[0], uncertainty_arcsec=answers[1] if len(answers) > 1 else None
+        )
+
+
+def load_model(path: Path, *, pinned_sha256: str | None = None) -> OnnxModel:
+    """Read, check and replay a model file; ContractError says what was expected and found."""
+    where = str(path)
+    data = _read(path)
+    sha256 = hashlib.sha256(data).hexdigest()
+    if pinned_sha256 is not None and sha256 != pinned_sha256:
+        raise _refusal(where, f"the pinned SHA-256 {pinned_sha256}", sha256)
+    if _EXTERNAL_DATA in data:
+        raise _refusal(where, "all weights inside the file", "a reference to external data")
+    session = _session(data, where)
+    has_uncertainty = _check_signature(session, where)
+    text = cast("dict[str, str]", session.get_modelmeta().custom_metadata_map).get(METADATA_KEY)
+    if text is None:
+        raise _refusal(
+            where, f"metadata under the key {METADATA_KEY}", "none", "was it written by trueangle train?"
+        )
+    model = OnnxModel(
+        session, metadata_from_json(text, source=f"{where} metadata"), sha256, has_uncertainty=has_uncertainty
+    )
+    _replay(model, where)
+    return model
+
+
+def _read(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_MODEL_BYTES + 1)
+    except OSError as error:
+        raise _refusal(str(path), "a readable model file", error.strerror or str(error)) from error
+    if len(data) > MAX_MODEL_BYTES:
+        raise _refusal(str(path), f"at most {MAX_MODEL_BYTES} bytes", "a larger file")
+    if not data:
+        raise _refusal(str(path), "an ONNX model", "an empty file")
+    return data
+
+
+def _session(data: bytes, where: str) -> Any:
+    # Typed Any: ONNX Runtime ships no type information.
+    runtime = cast("Any", onnxruntime)
+    runtime.disable_telemetry_events()
+    options = runtime.SessionOptions()
+    # One sample a pass: threads would cost more than the whole graph. Fatal only: refusals are our own messages.
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    try:
+        return runtime.InferenceSession(data, sess_options=options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # a damaged file raises types that the runtime does not export
+        found = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
+        raise _refusal(where, "an ONNX model that ONNX Runtime can load", found, "is the file damaged?") from error
+
+
+def _check_signature(session: Any, where: str) -> bool:
+    """Names, types and shapes of the graph; True when it gives an uncertainty."""
+    faults: list[Fault] = []
+    inputs = {item.name: item for item in session.get_inputs()}
+    outputs = {item.name: item for item in session.get_outputs()}
+    wanted_inputs = [ANGLE_INPUT, TEMPERATURE_INPUT]
+    if list(inputs) != wanted_inputs:
+        faults.append(
+            Fault(where=where, expected=f"the inputs {', '.join(wanted_inputs)}", found=", ".join(inputs))
+        )
+    wanted_outputs = ([CORRECTION_OUTPUT], [CORRECTION_OUTPUT, UNCERTAINTY_OUTPUT])
+    if list(outputs) not in wanted_outputs:
+        expected = f"the outputs {CORRECTION_OUTPUT} and at most {UNCERTAINTY_OUTPUT}"
+        faults.append(Fault(where=where, expected=expected, found=", ".join(outputs)))
+    for name, item in {**inputs, **outputs}.items():
+        shape = list(item.shape)
+        if item.type != "tensor(double)" or len(shape) != 1 or isinstance(shape[0], int):
+            found = f"{item.type} {shape}"
+            faults.append(Fault(where=f"{where}, {name}", expected="tensor(double) of shape [n]", found=found))
+    if faults:
+        raise ContractError(faults)
+    return UNCERTAINTY_OUTPUT in outputs
+
+
+def _replay(model: OnnxModel, where: str) -> None:
+    """Every probe must come out as the trainer wrote it, and an empty batch must be empty."""
+    probes = model.metadata.probes
+    answer = model.correct(np.array(probes.angle_deg), np.array(probes.temperature_c))
+    uncertainty = answer.uncertainty_arcsec
+    disagreement = probe_disagreement(
+        probes,
+        correction_arcsec=answer.correction_arcsec.tolist(),
+        uncertainty_arcsec=None if uncertainty is None else uncertainty.tolist(),
+        tolerance_arcsec=model.metadata.probe_tolerance_arcsec,
+    )
+    if disagreement is not None:
+        raise _refusal(where, "probes that come out as they were written", disagreement)
+    if model.correct(np.empty(0), np.empty(0)).correction_arcsec.shape != (0,):
+        raise _refusal(where, "an empty result for no samples", "values")
+
+
+def _refusal(where: str, expected: str, found: str, advice: str = "") -> ContractError:
+    return ContractError([Fault(where=where, expected=expected, found=found, advice=advice)])

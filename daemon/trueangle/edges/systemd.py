@@ -1,0 +1,62 @@
+"""Telling systemd how the service does: READY, STATUS, WATCHDOG (sd_notify(3)).
+
+The datagram protocol is public and three lines long; a library would add a dependency for them.
+"""
+
+import os
+import socket
+from collections.abc import Mapping
+
+
+class ServiceNotifier:
+    """Sends notifications where `NOTIFY_SOCKET` is set; does nothing elsewhere."""
+
+    def __init__(self, environment: Mapping[str, str]) -> None:
+        self._address = environment.get("NOTIFY_SOCKET", "")
+        self._socket: socket.socket | None = None
+        if self._address:
+            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
+            # An abstract socket is written with a leading @ for its leading NUL.
+            if self._address.startswith("@"):
+                self._address = "\0" + self._address[1:]
+        self.watchdog_interval_s = _watchdog_interval_s(environment)
+
+    def _send(self, text: str) -> None:
+        if self._socket is not None:
+            try:
+                self._socket.sendto(text.encode(), self._address)
+            except OSError:
+                return  # systemd is restarting or gone: the watchdog then decides, nobody else can be told
+
+    def ready(self, status: str) -> None:
+        """The service serves every joint or has said why not."""
+        self._send(f"READY=1\nSTATUS={status}")
+
+    def status(self, status: str) -> None:
+        """One line for `systemctl status`."""
+        self._send(f"STATUS={status}")
+
+    def alive(self) -> None:
+        """Feed the watchdog."""
+        self._send("WATCHDOG=1")
+
+    def stopping(self) -> None:
+        """An orderly stop has begun."""
+        self._send("STOPPING=1")
+
+    def close(self) -> None:
+        """Close the socket."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+
+def _watchdog_interval_s(environment: Mapping[str, str]) -> float | None:
+    """A third of the watchdog's time, None where none is set or it is meant for another process."""
+    microseconds = environment.get("WATCHDOG_USEC", "")
+    if not microseconds.isdigit() or int(microseconds) == 0:
+        return None
+    pid = environment.get("WATCHDOG_PID", "")
+    if pid and pid != str(os.getpid()):
+        return None
+    return int(microseconds) / 3e6

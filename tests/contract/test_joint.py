@@ -1,0 +1,99 @@
+"""JOINT.yaml and PLAN.yaml in the forms that outside tools write."""
+
+import pytest
+import yaml
+
+from trueangle.contract.document import Node, document_from_plain, read_document
+from trueangle.contract.errors import ContractError
+from trueangle.contract.joint import (
+    Joint,
+    Plan,
+    joint_from_document,
+    joint_to_plain,
+    plan_from_document,
+    plan_to_plain,
+)
+
+MINIMUM = """
+schema_version: 1
+encoder: {lines_per_rev: 16384, counts_per_rev: 3276800}
+reference: {kind: polygon, faces: 23}
+effects: [eccentricity, grating_tilt, graduation_error, thermal_eccentricity]
+"""
+PLAN = """
+{schema_version: 1, faces: 23, temperatures_c: [10, 15, 20, 25, 30, 35, 40], repeats: 3, directions: [1],
+ shift_faces: 0, soak_h: 4}
+"""
+
+
+def document(text: str) -> Node:
+    return read_document(text, source="j.yaml", loader=yaml.SafeLoader, syntax_error=yaml.YAMLError)
+
+
+def joint(text: str) -> Joint:
+    return joint_from_document(document(text))
+
+
+def test_the_minimum_joint_is_read() -> None:
+    got = joint(MINIMUM)
+    assert list(got.effects) == ["eccentricity", "grating_tilt", "graduation_error", "thermal_eccentricity"]
+    assert got.encoder.counts_per_rev == 3_276_800
+    assert got.base_temperature_c == 20.0
+
+
+def test_effects_may_be_a_mapping_with_settings() -> None:
+    text = MINIMUM.split("effects")[0] + "effects: {graduation_error: {orders: [3, 11]}, eccentricity: }\n"
+    assert joint(text).effects["graduation_error"].plain() == {"orders": [3, 11]}
+
+
+def test_a_joint_survives_writing_and_reading() -> None:
+    first = joint_to_plain(joint(MINIMUM))
+    assert joint_to_plain(joint_from_document(document_from_plain(first, source="back"))) == first
+    assert joint_to_plain(joint(yaml.safe_dump(first))) == first
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        (("eccentricity,", "excentricity,"), "expected an effect of the library, found excentricity"),
+        (("[eccentricity", "[3, eccentricity"), "expected an effect's name, found 3"),
+        ((", faces: 23", ""), "expected faces beside kind polygon"),
+        (("kind: polygon", "kind: laser"), "expected one of polygon, encoder, found the text 'laser'"),
+        (("schema_version: 1", "schema_version: 2"), "schema_version: expected a whole number, 1 to 1, found 2"),
+        (("3276800", "100"), "counts_per_rev: expected at least lines_per_rev (16384), found 100"),
+        (("3276800}", "3276800, settings: {units_per_revolution: 4}}"), "equal to counts_per_rev"),
+        (("reference:", "referense:"), "did you mean reference?"),
+    ],
+)
+def test_a_contradictory_joint_is_refused_with_its_place(change: tuple[str, str], found: str) -> None:
+    with pytest.raises(ContractError) as caught:
+        joint(MINIMUM.replace(*change))
+    assert found in str(caught.value)
+    assert "j.yaml line" in str(caught.value)
+
+
+def test_the_plan_of_the_paper_is_read_and_written() -> None:
+    plan = plan_from_document(document(PLAN))
+    assert plan.faces == 23
+    assert plan.temperatures_c == (10, 15, 20, 25, 30, 35, 40)
+    assert plan_from_document(document_from_plain(plan_to_plain(plan), source="back")) == plan
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        (("[1]", "[0]"), "directions: expected a list of 1 and -1"),
+        (("[10, 15, 20, 25, 30, 35, 40]", "[]"), "expected at least one temperature"),
+        (("faces: 23", "faces: 2"), "faces: expected a whole number, 3 to 1000, found 2"),
+    ],
+)
+def test_an_impossible_plan_is_refused(change: tuple[str, str], found: str) -> None:
+    with pytest.raises(ContractError, match="line") as caught:
+        plan_from_document(document(PLAN.replace(*change)))
+    assert found in str(caught.value)
+
+
+def test_a_plan_needs_its_keys() -> None:
+    with pytest.raises(ContractError, match="expected the key repeats"):
+        plan_from_document(document("{schema_version: 1, faces: 23, temperatures_c: [20]}"))
+    assert Plan(schema_version=1, faces=23, temperatures_c=(20.0,), repeats=1).directions == (1,)
