@@ -35,7 +35,7 @@ class ModbusConfig:
     unit_id: Annotated[int, Range(minimum=1, maximum=247)] = 1
     """Answered beside 0 and 255."""
     max_connections: Annotated[int, Range(minimum=1, maximum=1000)] = 32
-    max_connections_per_client: Annotated[int, Range(minimum=1, maximum=1000)] = 8
+    max_connections_per_address: Annotated[int, Range(minimum=1, maximum=1000)] = 8
     idle_timeout_s: Annotated[float, Range(minimum=1, maximum=86400)] = 60.0
 
 

@@ -9,6 +9,8 @@ from dataclasses import dataclass, fields
 from trueangle.contract.units import ARCSEC_PER_TURN, DEG_PER_TURN
 
 MAX_COUNTS_PER_REV = 2**32
+SCALING_ON = 1 << 2
+"""Bit 2 of 0x6000, scaling function control."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,6 +57,13 @@ class EncoderSettings:
                 shown = "not readable" if got is None else str(got)
                 found.append(f"{field.name} expected {want} found {shown}")
         return found
+
+    @property
+    def counts_per_rev(self) -> int | None:
+        """Counts of the position value in one turn: 0x6001 with scaling on, 0x6501 with scaling off (CiA 406)."""
+        if self.operating_parameters is not None and not self.operating_parameters & SCALING_ON:
+            return self.single_turn_resolution
+        return self.units_per_revolution
 
     def known(self) -> dict[str, int]:
         """The known fields by name."""

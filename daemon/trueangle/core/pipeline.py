@@ -58,8 +58,6 @@ class PipelineCounters:
 
     cycles: int = 0
     images: int = 0
-    foreign_frames: int = 0
-    """COB-IDs that no joint expects; they belong to the master."""
     misfit_frames: int = 0
     """Expected COB-ID, wrong length: never decoded."""
     unready_frames: int = 0
@@ -91,20 +89,18 @@ class Pipeline:
         self.counters = PipelineCounters()
         self.last_image_ns: int | None = None
 
-    def expects(self, bus: str) -> frozenset[int]:
-        """The COB-IDs of process data on this bus; everything else is the master's."""
-        return frozenset(cob_id for name, cob_id in self._table if name == bus)
-
-    def on_frames(self, bus: str, frames: Iterable[Frame], now_ns: int) -> None:
-        """A batch of received frames, in order."""
+    def on_frames(self, bus: str, frames: Iterable[Frame], now_ns: int) -> list[Frame]:
+        """A batch of received frames, in order; those that no joint expects come back for the master."""
         moved = False
-        for cob_id, data, stamp_ns in frames:
-            entry = self._table.get((bus, cob_id))
+        foreign: list[Frame] = []
+        for frame in frames:
+            cob_id, data, stamp_ns = frame
             if cob_id == SYNC_COB_ID:
                 self.on_sync(bus, stamp_ns)
                 continue
+            entry = self._table.get((bus, cob_id))
             if entry is None:
-                self.counters.foreign_frames += 1
+                foreign.append(frame)
                 continue
             joint, layout = entry
             if len(data) != layout.length:
@@ -116,6 +112,7 @@ class Pipeline:
                 self._awaited.discard(joint.channel.slot)
         if moved and not self._awaited:
             self._end_cycle(now_ns)
+        return foreign
 
     def on_sync(self, bus: str, now_ns: int) -> None:
         """SYNC on this bus, sent by us or by another node: a cycle that has not ended yet ends here."""

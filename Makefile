@@ -1,0 +1,52 @@
+# make demo, make test: each sets up .venv first. Nothing else needs to be installed but Python >= 3.11 with venv.
+PYTHON ?= python3
+VENV := .venv
+CONTROLLER := build/controller
+SETUP := $(VENV)/.set-up
+
+.PHONY: demo test check test-controller bench registers lock clean
+
+demo: $(SETUP)
+	$(VENV)/bin/trueangle demo --out build/demo
+
+test: check
+	$(VENV)/bin/python -m pytest
+
+check: $(SETUP)
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/basedpyright
+	$(VENV)/bin/lint-imports
+
+$(SETUP): requirements-dev.lock pyproject.toml
+	@echo "setting up $(VENV): downloads and unpacks about 5 GB (torch), some minutes the first time"
+	$(PYTHON) -m venv $(VENV)
+	$(VENV)/bin/pip install --disable-pip-version-check --require-hashes -r requirements-dev.lock
+	$(VENV)/bin/pip install --disable-pip-version-check -q --no-build-isolation --no-deps -e .
+	touch $@
+
+# The daemon as a controller has it: the wheel without the extra, its tests without torch.
+test-controller:
+	rm -rf $(CONTROLLER)
+	$(PYTHON) -m venv $(CONTROLLER)
+	$(CONTROLLER)/bin/pip install --disable-pip-version-check -q --require-hashes -r requirements-controller-test.lock
+	$(CONTROLLER)/bin/pip install --disable-pip-version-check -q --no-build-isolation --no-deps .
+	$(CONTROLLER)/bin/python -m pytest -o pythonpath=. tests/contract tests/daemon
+
+bench: $(SETUP)
+	$(VENV)/bin/python -m tests.benchmarks
+
+registers: $(SETUP)
+	$(VENV)/bin/trueangled registers --format markdown > deploy/registers.md
+	$(VENV)/bin/trueangled registers --format csv > deploy/registers.csv
+
+# Needs uv; the locks carry hashes and no index address.
+UV_LOCK = uv pip compile -q pyproject.toml --universal --python-version 3.11 --generate-hashes \
+	--no-emit-index-url --no-header --no-annotate
+lock:
+	$(UV_LOCK) --extra training --group build --group test --group lint -o requirements-dev.lock
+	$(UV_LOCK) --group build --group test -c requirements-dev.lock -o requirements-controller-test.lock
+	$(UV_LOCK) -c requirements-dev.lock -o requirements.lock
+
+clean:
+	rm -rf $(VENV) build dist

@@ -1,0 +1,139 @@
+"""`trueangled`: run, check-config, check-model, registers.
+
+Exit codes: 0 done; 1 the service could not go on (port taken); 2 bad input, every fault on a line of its own.
+"""
+
+import argparse
+import asyncio
+import logging
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from trueangle.config import DaemonConfig, load_config
+from trueangle.contract.errors import ContractError, TrueangleError
+from trueangle.contract.metadata import ModelMetadata
+from trueangle.core.register_table import render_csv, render_markdown, render_text
+from trueangle.edges.onnx_model import load_model
+from trueangle.edges.systemd import ServiceNotifier
+from trueangle.service import LoadedJoint, Service, load_joints
+
+LOG_FORMAT = "%(levelname)s %(message)s"
+_RENDERERS = {"text": render_text, "markdown": render_markdown, "csv": render_csv}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    options = _parser().parse_args(arguments)
+    try:
+        return options.command(options)
+    except ContractError as error:
+        for fault in error.faults:
+            print(f"trueangled: {fault}", file=sys.stderr)
+        return 2
+    except TrueangleError as error:
+        print(f"trueangled: {error}", file=sys.stderr)
+        return 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="trueangled", description="Serves corrected encoder angles over Modbus.")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    run = commands.add_parser("run", help="read the nodes, correct, serve")
+    run.add_argument("--config", type=Path, required=True, metavar="FILE")
+    run.set_defaults(command=_run)
+
+    check_config = commands.add_parser("check-config", help="check a configuration and its models, start nothing")
+    check_config.add_argument("config", type=Path, metavar="FILE")
+    check_config.set_defaults(command=_check_config)
+
+    check_model = commands.add_parser("check-model", help="check a model file and say what it is")
+    check_model.add_argument("model", type=Path, metavar="FILE")
+    check_model.set_defaults(command=_check_model)
+
+    registers = commands.add_parser("registers", help="print the table of Modbus registers")
+    registers.add_argument(
+        "--config", type=Path, metavar="FILE", help="the slots of this configuration (else slot 1)"
+    )
+    registers.add_argument("--format", choices=list(_RENDERERS), default="text")
+    registers.set_defaults(command=_registers)
+    return parser
+
+
+def _load(path: Path) -> tuple[DaemonConfig, tuple[LoadedJoint, ...]]:
+    config = load_config(path)
+    return config, load_joints(config, base=path.parent, source=str(path))
+
+
+def _run(options: argparse.Namespace) -> int:
+    logging.basicConfig(level=logging.INFO, format=LOG_FORMAT, stream=sys.stderr)
+    config, joints = _load(options.config)
+    notifier = ServiceNotifier(os.environ)
+    try:
+        asyncio.run(_serve(config, joints, notifier))
+    finally:
+        notifier.close()
+    return 0
+
+
+async def _serve(config: DaemonConfig, joints: tuple[LoadedJoint, ...], notifier: ServiceNotifier) -> None:
+    await Service(config, joints, notifier).run()
+
+
+def _check_config(options: argparse.Namespace) -> int:
+    config, joints = _load(options.config)
+    _say(f"{options.config}: good; {len(config.buses)} bus(es), {len(joints)} joint(s)")
+    for joint in joints:
+        entry = joint.config
+        about = f"bus {entry.bus}, node {entry.node_id}, {entry.model}"
+        _say(f"  slot {entry.slot:2d} {entry.name}: {about}; {_model_line(joint.model.metadata)}")
+    return 0
+
+
+def _check_model(options: argparse.Namespace) -> int:
+    model = load_model(options.model)
+    metadata = model.metadata
+    _say(f"{options.model}: good; {len(metadata.probes.angle_deg)} probes replayed")
+    _say(f"  SHA-256      {model.sha256}")
+    _say(f"  joint        {metadata.joint}")
+    _say(f"  model        {_model_line(metadata)}")
+    encoder = metadata.encoder
+    _say(f"  encoder      {encoder.counts_per_rev} counts, {encoder.lines_per_rev} lines per revolution")
+    for name, value in encoder.settings.known().items():
+        _say(f"               {name} {value}")
+    calibration = metadata.calibration
+    due = calibration.due or "no due date"
+    _say(f"  calibration  {calibration.id}, {calibration.readings} readings, {calibration.date}, due: {due}")
+    reference = metadata.reference
+    uncertainty = reference.standard_uncertainty_arcsec
+    stated = "not stated" if uncertainty is None else f"{uncertainty:g} arcsec (k = 1)"
+    _say(f"  reference    {reference.kind}, standard uncertainty {stated}")
+    for note in metadata.notes:
+        _say(f"  note         {note}")
+    return 0
+
+
+def _model_line(metadata: ModelMetadata) -> str:
+    angle, temperature = metadata.valid_angle_deg, metadata.valid_temperature_c
+    return (
+        f"{metadata.method}, {angle.minimum:g} to {angle.maximum:g} deg, "
+        f"{temperature.minimum:g} to {temperature.maximum:g} degC"
+    )
+
+
+def _registers(options: argparse.Namespace) -> int:
+    slots = [1]
+    if options.config is not None:
+        slots = sorted(joint.slot for joint in load_config(options.config).joints)
+    _say(_RENDERERS[options.format](slots))
+    return 0
+
+
+def _say(text: str) -> None:
+    print(text)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,348 @@
+"""From joint states to the register image: one immutable `bytes` per cycle.
+
+Rules of this file: a register never holds a number that is not known. What is missing, not finite or out of the
+register's range is served as the marker of its type; the corrected angle is served only with the VALID bit, and
+the VALID bit only with a corrected angle.
+"""
+
+import datetime
+import struct
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from trueangle.contract.units import DEG_PER_TURN, MILLIARCSEC_PER_TURN
+from trueangle.core.health import ServiceBit, StatusBit
+from trueangle.core.register_fields import (
+    BLOCK_STRIDE,
+    DETAIL_IDENTITY,
+    DETAIL_LIVE,
+    DETAIL_REGISTERS,
+    DETAIL_TAIL,
+    FAST_HEADER,
+    FAST_REGISTERS,
+    FAST_SLOT,
+    FAST_TAIL,
+    FIRST_DETAIL_BLOCK,
+    MAP_VERSION,
+    SLOTS,
+    RegisterType,
+    detail_address,
+    fast_slot_offset,
+    group_of,
+    struct_format,
+)
+
+_HEADER = struct.Struct(struct_format(FAST_HEADER))
+_FAST = struct.Struct(struct_format(FAST_SLOT))
+_LIVE = struct.Struct(struct_format(DETAIL_LIVE))
+_IDENTITY = struct.Struct(struct_format(DETAIL_IDENTITY))
+_FAST_TAIL = struct.Struct(struct_format(FAST_TAIL))
+_DETAIL_TAIL = struct.Struct(struct_format(DETAIL_TAIL))
+
+_VALID = int(StatusBit.VALID)
+_CONFIGURED = int(StatusBit.CONFIGURED)
+_ALL_VALID = int(ServiceBit.ALL_VALID)
+
+_NAN = float("nan")
+_NO_INT16 = -0x8000
+_NO_INT32 = -0x8000_0000
+_NO_UINT16 = 0xFFFF
+_NO_UINT32 = 0xFFFF_FFFF
+_UINT16_TOP = 0xFFFE
+_UINT32_TOP = 0xFFFF_FFFE
+
+_MAS_PER_DEG = 3_600_000.0
+_FLOAT32_BOUND = 3.4e38
+"""Below the largest binary32 number, 3.4028e38; a chained comparison with it also refuses NaN and infinity."""
+_ANGLE_BOUND_DEG = 1e8
+"""Beyond, binary64 no longer resolves a tenth of a milli-arcsecond: no angle in a turn can be told from it."""
+_ROUNDS_BELOW_TURN_DEG = 360.0 - 0.6 / _MAS_PER_DEG
+"""Angles below round to at most 1295999999 milli-arcseconds, whatever the last bit of the product."""
+_FLOAT32_TURN_DEG = 360.0 - 2.0**-16
+"""From here binary32 rounds to 360: its step below 360 is 2^-15 and the tie goes to the even 360."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointState:
+    """What is served of one joint in one cycle. None: not known."""
+
+    status: StatusBit
+    sequence: int | None
+    """Number of the sample; served modulo 65536."""
+    corrected_deg: float | None
+    """Within +-1e8; served reduced to [0, 360), and only with VALID in `status`."""
+    raw_deg: float | None
+    """Within +-1e8; served reduced to [0, 360), whole turns are carried into `turns`."""
+    correction_arcsec: float | None
+    """corrected = raw + correction"""
+    temperature_c: float | None
+    age_ms: float | None
+    """Age of the sample when published; negative is not known."""
+    uncertainty_arcsec: float | None
+    """Standard uncertainty (k = 1) of the corrected angle; negative is not known."""
+    velocity_deg_s: float | None
+    turns: int | None
+    """Whole turns that belong to `raw_deg`."""
+    raw_counts: int | None
+    """0..2^32 - 1"""
+    frames_received: int
+    """Served modulo 2^32."""
+    frames_lost: int
+    """Served modulo 2^32."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointIdentity:
+    """What stays the same between configurations: which joint, which model, which encoder. None: not known."""
+
+    slot: int
+    """1..32"""
+    node_id: int
+    """CANopen node-id, 1..127"""
+    model_id: bytes | None
+    """First 8 bytes of the SHA-256 of the model file."""
+    calibration_date: datetime.date | None
+    calibration_due: datetime.date | None
+    vendor_id: int | None
+    """UNSIGNED32, as the following three: object 0x1018."""
+    product_code: int | None
+    revision_number: int | None
+    serial_number: int | None
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.slot <= SLOTS:
+            raise ValueError(f"slot: expected 1..{SLOTS}, got {self.slot}")
+        if not 1 <= self.node_id <= 127:
+            raise ValueError(f"slot {self.slot}: node_id: expected 1..127, got {self.node_id}")
+        if self.model_id is not None and len(self.model_id) != 8:
+            raise ValueError(f"slot {self.slot}: model_id: expected 8 bytes, got {len(self.model_id)}")
+        for name in ("vendor_id", "product_code", "revision_number", "serial_number"):
+            number: int | None = getattr(self, name)
+            if number is not None and not 0 <= number <= 0xFFFF_FFFF:
+                raise ValueError(f"slot {self.slot}: {name}: expected 0..0xFFFFFFFF, got {number}")
+
+
+@dataclass(frozen=True, slots=True)
+class RegisterImage:
+    """All registers of one cycle; reading never changes it."""
+
+    data: bytes
+    """The served blocks, one behind the other."""
+    starts: tuple[int, ...]
+    """Start of block b (0-based address 100 * b) in `data`, in bytes; -1: not served."""
+
+    def read(self, address: int, count: int) -> bytes | None:
+        """The bytes of `count` registers from 0-based `address`; None if they are not all of one served block."""
+        block, offset = divmod(address, BLOCK_STRIDE)
+        if count < 1 or not 0 <= block < len(self.starts):
+            return None
+        start = self.starts[block]
+        length = FAST_REGISTERS if block < FIRST_DETAIL_BLOCK else DETAIL_REGISTERS
+        if start < 0 or offset + count > length:
+            return None
+        begin = start + 2 * offset
+        return self.data[begin : begin + 2 * count]
+
+
+class RegisterMap:
+    """The layout for one configuration of joints; builds an image per cycle."""
+
+    def __init__(self, identities: Iterable[JointIdentity]) -> None:
+        """Raises ValueError when a slot is named twice."""
+        by_slot: dict[int, JointIdentity] = {}
+        for identity in identities:
+            if identity.slot in by_slot:
+                raise ValueError(
+                    f"slot {identity.slot}: expected one joint, got two; give each joint its own slot"
+                )
+            by_slot[identity.slot] = identity
+        self._identities = by_slot
+        self._node_ids = {slot: by_slot[slot].node_id for slot in sorted(by_slot)}
+        self._template, self._starts = _template(by_slot)
+        self._fast_at = {
+            slot: self._starts[group_of(slot)] + 2 * fast_slot_offset(slot) for slot in self._node_ids
+        }
+        self._detail_at = {slot: self._starts[detail_address(slot) // BLOCK_STRIDE] for slot in self._node_ids}
+        self._groups_at = [self._starts[group] for group in sorted({group_of(slot) for slot in by_slot})]
+
+    @property
+    def slots(self) -> tuple[int, ...]:
+        """The configured slots, ascending."""
+        return tuple(self._node_ids)
+
+    def image(
+        self, *, cycle: int, heartbeat: int, service_status: int, states: Mapping[int, JointState]
+    ) -> RegisterImage:
+        """The registers of this cycle; a configured slot without a state is served as not valid and unknown.
+
+        `cycle` is served modulo 2^32, `heartbeat` modulo 65536, `service_status` by its low 16 bits and
+        without ALL_VALID when a corrected angle is withheld here. Raises ValueError for a state of a slot that is
+        not configured.
+        """
+        if not states.keys() <= self._node_ids.keys():
+            raise ValueError(f"slots: expected states of {self.slots}, got one of {sorted(states)}")
+        cycle &= 0xFFFF_FFFF
+        buffer = bytearray(self._template)
+        not_valid = 0
+        for slot, node_id in self._node_ids.items():
+            state = states.get(slot, _UNKNOWN)
+            if not _pack_joint(buffer, self._fast_at[slot], self._detail_at[slot], cycle, node_id, state):
+                not_valid |= 1 << slot - 1
+        service_status &= 0xFFFF & ~_ALL_VALID if not_valid else 0xFFFF
+        joints = len(self._node_ids)
+        for start in self._groups_at:
+            _HEADER.pack_into(
+                buffer, start, MAP_VERSION, joints, cycle, heartbeat & 0xFFFF, not_valid, service_status
+            )
+            _FAST_TAIL.pack_into(buffer, start + 2 * FAST_REGISTERS - _FAST_TAIL.size, cycle)
+        return RegisterImage(bytes(buffer), self._starts)
+
+
+_UNKNOWN = JointState(
+    status=StatusBit.CONFIGURED,
+    sequence=None,
+    corrected_deg=None,
+    raw_deg=None,
+    correction_arcsec=None,
+    temperature_c=None,
+    age_ms=None,
+    uncertainty_arcsec=None,
+    velocity_deg_s=None,
+    turns=None,
+    raw_counts=None,
+    frames_received=0,
+    frames_lost=0,
+)
+
+
+def _pack_joint(
+    buffer: bytearray, fast_at: int, detail_at: int, cycle: int, node_id: int, state: JointState
+) -> bool:
+    """Write one joint's live registers; True if its corrected angle is served."""
+    status = int(state.status) & 0xFFFF_FFFF | _CONFIGURED
+    corrected_mas, corrected_deg, corrected_f32, _ = _angle(state.corrected_deg) if status & _VALID else _NO_ANGLE
+    if corrected_mas == _NO_INT32:
+        status &= ~_VALID
+    raw_mas, raw_deg, raw_f32, carry = _angle(state.raw_deg)
+    sequence = _NO_UINT16 if state.sequence is None else state.sequence & 0xFFFF
+    correction_arcsec = _float32(state.correction_arcsec)
+    temperature_c = _float32(state.temperature_c)
+    uncertainty_arcsec = _unsigned(state.uncertainty_arcsec)
+    age_ms = _unsigned(state.age_ms)
+    # Comparisons with NaN are false: what is not known takes the marker.
+    _FAST.pack_into(
+        buffer,
+        fast_at,
+        status,
+        sequence,
+        corrected_mas,
+        raw_mas,
+        round(correction_arcsec * 1e3) if -2.147e6 < correction_arcsec < 2.147e6 else _NO_INT32,
+        round(temperature_c * 1e2) if -327.67 <= temperature_c <= 327.67 else _NO_INT16,
+        _NO_UINT16 if age_ms != age_ms else round(min(age_ms, 65534.0)),
+        _NO_UINT16 if uncertainty_arcsec != uncertainty_arcsec else round(min(uncertainty_arcsec * 1e2, 65534.0)),
+    )
+    _LIVE.pack_into(
+        buffer,
+        detail_at,
+        cycle,
+        status,
+        sequence,
+        node_id,
+        corrected_mas,
+        corrected_deg,
+        corrected_f32,
+        raw_mas,
+        raw_deg,
+        raw_f32,
+        _float32(state.velocity_deg_s),
+        _turns(state.turns, carry),
+        temperature_c,
+        correction_arcsec,
+        uncertainty_arcsec,
+        _NO_UINT32 if age_ms != age_ms else round(min(age_ms, 4294967294.0)),
+        _counts(state.raw_counts),
+        state.frames_received & 0xFFFF_FFFF,
+        state.frames_lost & 0xFFFF_FFFF,
+    )
+    _DETAIL_TAIL.pack_into(buffer, detail_at + 2 * DETAIL_REGISTERS - _DETAIL_TAIL.size, cycle)
+    return status & _VALID != 0
+
+
+_NO_ANGLE = (_NO_INT32, _NAN, _NAN, 0)
+
+
+def _angle(angle_deg: float | None) -> tuple[int, float, float, int]:
+    """Milli-arcseconds, degrees for FLOAT64, degrees for FLOAT32, and the whole turns taken off.
+
+    The float is the angle from which the integer was rounded, so |float64 * 3.6e6 - int32| <= 0.5; where the
+    integer wraps to 0 both are 0. The FLOAT32 value is 0 where binary32 would round up to 360.
+    """
+    if angle_deg is None:
+        return _NO_ANGLE
+    if 0.0 <= angle_deg < _ROUNDS_BELOW_TURN_DEG:
+        # -0.0 + 0.0 is 0.0: the sign bit of zero is not served.
+        deg = angle_deg + 0.0
+        return round(deg * _MAS_PER_DEG), deg, deg if deg < _FLOAT32_TURN_DEG else 0.0, 0
+    if not -_ANGLE_BOUND_DEG <= angle_deg <= _ANGLE_BOUND_DEG:
+        return _NO_ANGLE
+    turns, deg = divmod(angle_deg, DEG_PER_TURN)
+    mas = round(deg * _MAS_PER_DEG)
+    # A tiny negative angle leaves exactly 360.0 in binary64: the integer test catches it too.
+    if mas >= MILLIARCSEC_PER_TURN:
+        return 0, 0.0, 0.0, int(turns) + 1
+    return mas, deg, deg if deg < _FLOAT32_TURN_DEG else 0.0, int(turns)
+
+
+def _float32(number: float | None) -> float:
+    """The number where a FLOAT32 can hold it, else NaN."""
+    return number if number is not None and -_FLOAT32_BOUND < number < _FLOAT32_BOUND else _NAN
+
+
+def _unsigned(number: float | None) -> float:
+    """The number where it is not negative and a FLOAT32 can hold it, else NaN."""
+    return number if number is not None and 0.0 <= number < _FLOAT32_BOUND else _NAN
+
+
+def _turns(turns: int | None, carry: int) -> int:
+    if turns is None:
+        return _NO_INT32
+    turns += carry
+    return turns if _NO_INT32 < turns < 0x8000_0000 else _NO_INT32
+
+
+def _counts(counts: int | None) -> int:
+    return counts if counts is not None and 0 <= counts <= 0xFFFF_FFFF else _NO_UINT32
+
+
+def _template(identities: Mapping[int, JointIdentity]) -> tuple[bytes, tuple[int, ...]]:
+    """All served blocks with identities, markers in the empty slots of a group; and where each block starts."""
+    missing = tuple(field.type.missing for field in FAST_SLOT)
+    empty_slot = _FAST.pack(0, *missing[1:])
+    starts = [-1] * (FIRST_DETAIL_BLOCK + SLOTS)
+    blocks = bytearray()
+    for group in sorted({group_of(slot) for slot in identities}):
+        starts[group] = len(blocks)
+        slots_bytes = 2 * FAST_REGISTERS - _HEADER.size - _FAST_TAIL.size
+        blocks += bytes(_HEADER.size) + empty_slot * (slots_bytes // _FAST.size) + bytes(_FAST_TAIL.size)
+    for slot in sorted(identities):
+        starts[detail_address(slot) // BLOCK_STRIDE] = len(blocks)
+        blocks += bytes(_LIVE.size) + _identity_bytes(identities[slot]) + bytes(_DETAIL_TAIL.size)
+    return bytes(blocks), tuple(starts)
+
+
+def _identity_bytes(identity: JointIdentity) -> bytes:
+    numbers = (
+        _yyyymmdd(identity.calibration_date),
+        _yyyymmdd(identity.calibration_due),
+        identity.vendor_id,
+        identity.product_code,
+        identity.revision_number,
+        identity.serial_number,
+    )
+    model_id = RegisterType.BYTES8.missing if identity.model_id is None else identity.model_id
+    return _IDENTITY.pack(model_id, *(_NO_UINT32 if number is None else number for number in numbers))
+
+
+def _yyyymmdd(day: datetime.date | None) -> int | None:
+    return None if day is None else day.year * 10_000 + day.month * 100 + day.day

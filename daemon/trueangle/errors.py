@@ -1,0 +1,11 @@
+"""Errors of the running daemon, beside those it shares with the laboratory; the type says what to do."""
+
+from trueangle.contract.errors import TrueangleError
+
+
+class LinkError(TrueangleError):
+    """The way to a device is gone (bus, socket, silent node): degrade and try again with back-off."""
+
+
+class NodeFault(TrueangleError):
+    """A node answers, but not as it must: its joint is taken out of service and the node set up again."""

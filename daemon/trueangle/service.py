@@ -1,0 +1,337 @@
+"""The composition root: configuration and models in, a running service out.
+
+Data flow: CAN bus -> pipeline -> register image -> Modbus server; what is not process data goes to the CANopen
+master; every change of a joint's status word is logged once. The watchdog is fed where an image is published and
+nowhere else, so a pipeline that stands still is seen by systemd.
+"""
+
+import asyncio
+import datetime
+import logging
+import signal
+import time
+from collections.abc import Mapping
+from contextlib import AsyncExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from trueangle.config import DaemonConfig, JointConfig
+from trueangle.contract.encoder import EncoderSettings
+from trueangle.contract.errors import ContractError, Fault
+from trueangle.contract.metadata import Interval
+from trueangle.core.frames import POSITION_OBJECT, MappedObject, NodePlan, Quantity, TpdoPlan
+from trueangle.core.health import Limits, NodeCondition, StatusBit
+from trueangle.core.node_setup import NodeReport, NodeState
+from trueangle.core.pipeline import Frame, JointChannel, Pipeline
+from trueangle.core.registers import JointIdentity, RegisterImage, RegisterMap
+from trueangle.core.sample import SampleScale
+from trueangle.edges.can_bus import CanBus
+from trueangle.edges.can_master import CanMaster
+from trueangle.edges.modbus_server import ModbusLimits, ModbusTcpServer
+from trueangle.edges.onnx_model import OnnxModel, load_model
+from trueangle.edges.systemd import ServiceNotifier
+
+TICK_S = 0.01
+"""Ages in the registers are renewed at least this often, and a joint gone stale is marked within it."""
+SETTLE_S = 1.0
+"""A node in service for so long without a valid angle has had its chance: the service is ready without it."""
+STATUS_TEXT_S = 1.0
+
+_CONDITIONS = {
+    NodeState.RUNNING: NodeCondition.RUNNING,
+    NodeState.REFUSED: NodeCondition.DIFFERS,
+    NodeState.FAULT: NodeCondition.FAULT,
+}
+_DECIDED = (NodeState.RUNNING, NodeState.REFUSED, NodeState.FAULT, NodeState.LOST)
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoadedJoint:
+    """One joint of the configuration with its checked model."""
+
+    config: JointConfig
+    model: OnnxModel
+
+
+def load_joints(config: DaemonConfig, *, base: Path, source: str) -> tuple[LoadedJoint, ...]:
+    """Load and check every model file of the configuration; ContractError with the faults of all of them.
+
+    Model paths are relative to `base`, the configuration file's directory.
+    """
+    faults: list[Fault] = []
+    loaded: list[LoadedJoint] = []
+    for i, joint in enumerate(config.joints):
+        try:
+            model = load_model(base / joint.model, pinned_sha256=joint.model_sha256)
+        except ContractError as error:
+            faults += error.faults
+            continue
+        faults += _model_against_config(model, joint, f"{source}, joints[{i}]")
+        loaded.append(LoadedJoint(config=joint, model=model))
+    if faults:
+        raise ContractError(faults)
+    return tuple(loaded)
+
+
+def _model_against_config(model: OnnxModel, joint: JointConfig, where: str) -> list[Fault]:
+    """Model and configuration must mean the same encoder."""
+    encoder = model.metadata.encoder
+    faults: list[Fault] = []
+    if encoder.counts_per_rev != joint.encoder.counts_per_rev:
+        expected = f"counts_per_rev {encoder.counts_per_rev} as at the calibration of {joint.model}"
+        faults.append(Fault(where=where, expected=expected, found=str(joint.encoder.counts_per_rev)))
+    configured = joint.encoder.settings.known()
+    for name, value in encoder.settings.known().items():
+        if name in configured and configured[name] != value:
+            expected = f"{name} {value} as at the calibration of {joint.model}"
+            faults.append(Fault(where=where, expected=expected, found=str(configured[name])))
+    return faults
+
+
+def encoder_differences(joint: LoadedJoint, found: EncoderSettings) -> list[str]:
+    """Why this encoder must not be corrected with this model; empty where it may."""
+    differences: list[str] = []
+    counts_per_rev = found.counts_per_rev
+    if counts_per_rev != joint.config.encoder.counts_per_rev:
+        expected = joint.config.encoder.counts_per_rev
+        shown = "not readable" if counts_per_rev is None else str(counts_per_rev)
+        differences.append(f"counts per revolution expected {expected} found {shown}")
+    for expected in (joint.config.encoder.settings, joint.model.metadata.encoder.settings):
+        differences += [text for text in found.differences_from(expected) if text not in differences]
+    return differences
+
+
+def node_plan(joint: JointConfig) -> NodePlan:
+    """The process data that this joint needs: position (and sequence) with each SYNC, temperature now and then."""
+    index, subindex = POSITION_OBJECT
+    position = [MappedObject(index=index, subindex=subindex, bits=32, quantity=Quantity.POSITION)]
+    if joint.sequence is not None:
+        position.append(
+            MappedObject(
+                index=joint.sequence.index,
+                subindex=joint.sequence.subindex,
+                bits=joint.sequence.bits,
+                quantity=Quantity.SEQUENCE,
+            )
+        )
+    temperature = MappedObject(
+        index=joint.temperature.index,
+        subindex=joint.temperature.subindex,
+        bits=joint.temperature.bits,
+        quantity=Quantity.TEMPERATURE,
+        signed=joint.temperature.signed,
+    )
+    # COB-IDs of the pre-defined connection set (CiA 301, 7.3.3).
+    tpdos = (
+        TpdoPlan(number=1, cob_id=0x180 + joint.node_id, transmission_type=1, mapping=tuple(position)),
+        TpdoPlan(
+            number=2,
+            cob_id=0x280 + joint.node_id,
+            transmission_type=joint.temperature.every_syncs,
+            mapping=(temperature,),
+        ),
+    )
+    return NodePlan(slot=joint.slot, node_id=joint.node_id, tpdos=tpdos, heartbeat_ms=joint.heartbeat_ms)
+
+
+def joint_channel(joint: LoadedJoint) -> JointChannel:
+    """What the pipeline needs of a joint."""
+    config, metadata = joint.config, joint.model.metadata
+    return JointChannel(
+        slot=config.slot,
+        bus=config.bus,
+        plan=node_plan(config),
+        scale=SampleScale(
+            counts_per_rev=config.encoder.counts_per_rev,
+            degc_per_unit=config.temperature.degc_per_unit,
+            offset_c=config.temperature.offset_c,
+            sequence_modulus=None if config.sequence is None else 1 << config.sequence.bits,
+        ),
+        limits=Limits(
+            stale_ms=config.stale_ms,
+            temperature_stale_s=config.temperature.stale_s,
+            sensor_range_c=Interval(minimum=config.temperature.minimum_c, maximum=config.temperature.maximum_c),
+            model_angle_deg=metadata.valid_angle_deg,
+            model_temperature_c=metadata.valid_temperature_c,
+        ),
+        model=joint.model,
+    )
+
+
+def joint_identity(joint: LoadedJoint) -> JointIdentity:
+    """What the registers say of joint, model and encoder."""
+    calibration = joint.model.metadata.calibration
+    settings = joint.model.metadata.encoder.settings
+    return JointIdentity(
+        slot=joint.config.slot,
+        node_id=joint.config.node_id,
+        model_id=bytes.fromhex(joint.model.sha256)[:8],
+        calibration_date=datetime.date.fromisoformat(calibration.date),
+        calibration_due=None if calibration.due is None else datetime.date.fromisoformat(calibration.due),
+        vendor_id=settings.vendor_id,
+        product_code=settings.product_code,
+        revision_number=settings.revision_number,
+        serial_number=settings.serial_number,
+    )
+
+
+class Service:
+    """The running daemon; `run` returns after a signal or `stop`."""
+
+    def __init__(self, config: DaemonConfig, joints: tuple[LoadedJoint, ...], notifier: ServiceNotifier) -> None:
+        self._config = config
+        self._joints: Mapping[int, LoadedJoint] = {joint.config.slot: joint for joint in joints}
+        self._notifier = notifier
+        modbus = config.modbus
+        self._server = ModbusTcpServer(
+            modbus.host,
+            modbus.port,
+            unit_id=modbus.unit_id,
+            limits=ModbusLimits(
+                connections=modbus.max_connections,
+                connections_per_address=modbus.max_connections_per_address,
+                idle_timeout_s=modbus.idle_timeout_s,
+            ),
+        )
+        self._pipeline = Pipeline(
+            [joint_channel(joint) for joint in joints],
+            RegisterMap([joint_identity(joint) for joint in joints]),
+            publish=self._publish,
+            on_status=self._on_status,
+        )
+        self._masters: dict[str, CanMaster] = {}
+        self._node_state = dict.fromkeys(self._joints, NodeState.UNKNOWN)
+        self._node_since_ns = dict.fromkeys(self._joints, 0)
+        self._buses_down: dict[str, str] = {}
+        self._invalid_since_ns: dict[int, int] = dict.fromkeys(self._joints, time.monotonic_ns())
+        self._fed_ns = 0
+        self._status_ns = 0
+        self._ready = False
+        self._stop = asyncio.Event()
+
+    def stop(self) -> None:
+        """Ask for an orderly stop."""
+        self._stop.set()
+
+    async def run(self) -> None:
+        """Serve until stopped. Raises LinkError where the Modbus port cannot be had."""
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, self.stop)
+        try:
+            async with AsyncExitStack() as stack:
+                port = await self._server.start()
+                stack.push_async_callback(self._server.close)
+                _log.info("modbus_listening host=%s port=%d", self._config.modbus.host, port)
+                await self._open_buses(stack)
+                stack.callback(self._notifier.stopping)
+                await self._tick_until_stopped()
+        finally:
+            for number in (signal.SIGTERM, signal.SIGINT):
+                loop.remove_signal_handler(number)
+        _log.info("stopped images=%d", self._pipeline.counters.images)
+
+    async def _open_buses(self, stack: AsyncExitStack) -> None:
+        for settings in self._config.buses:
+            name = settings.name
+            bus = CanBus(
+                settings,
+                on_frames=lambda frames, name=name: self._on_frames(name, frames),
+                on_bus_state=lambda up, reason, name=name: self._on_bus_state(name, up=up, reason=reason),
+                on_sync=lambda stamp_ns, name=name: self._pipeline.on_sync(name, stamp_ns),
+            )
+            plans = [node_plan(j.config) for j in self._joints.values() if j.config.bus == name]
+            master = CanMaster(bus, plans, on_node=self._on_node, accept=self._accept)
+            self._masters[name] = await stack.enter_async_context(master)
+            await stack.enter_async_context(bus)
+
+    async def _tick_until_stopped(self) -> None:
+        while not self._stop.is_set():
+            try:
+                await asyncio.wait_for(self._stop.wait(), TICK_S)
+            except TimeoutError:
+                now_ns = time.monotonic_ns()
+                last_ns = self._pipeline.last_image_ns
+                if last_ns is None or now_ns - last_ns >= TICK_S * 1e9:
+                    self._pipeline.tick(now_ns)
+                self._tell_systemd(now_ns)
+
+    def _on_frames(self, bus: str, frames: list[Frame]) -> None:
+        foreign = self._pipeline.on_frames(bus, frames, time.monotonic_ns())
+        for cob_id, data, _ in foreign:
+            self._masters[bus].notify(cob_id, data)
+
+    def _on_bus_state(self, bus: str, *, up: bool, reason: str) -> None:
+        if up:
+            self._buses_down.pop(bus, None)
+        else:
+            self._buses_down[bus] = reason
+        self._masters[bus].on_bus_state(up, reason)
+        self._pipeline.on_bus(bus, up=up, now_ns=time.monotonic_ns())
+
+    def _accept(self, slot: int, settings: EncoderSettings) -> list[str]:
+        return encoder_differences(self._joints[slot], settings)
+
+    def _on_node(self, slot: int, report: NodeReport) -> None:
+        now_ns = time.monotonic_ns()
+        self._node_state[slot] = report.state
+        self._node_since_ns[slot] = now_ns
+        self._pipeline.on_node(slot, _CONDITIONS.get(report.state, NodeCondition.NOT_READY), now_ns)
+
+    def _on_status(self, slot: int, before: StatusBit, after: StatusBit) -> None:
+        now_ns = time.monotonic_ns()
+        name = self._joints[slot].config.name
+        if StatusBit.VALID in after:
+            lasted_s = (now_ns - self._invalid_since_ns.get(slot, now_ns)) * 1e-9
+            _log.info("joint_valid slot=%d joint=%r after_s=%.3f was=%s", slot, name, lasted_s, reasons(before))
+            return
+        if StatusBit.VALID in before:
+            self._invalid_since_ns[slot] = now_ns
+        _log.warning("joint_not_valid slot=%d joint=%r reasons=%s", slot, name, reasons(after))
+
+    def _publish(self, image: RegisterImage) -> None:
+        self._server.publish(image)
+        interval_s = self._notifier.watchdog_interval_s
+        if interval_s is not None and self._ready:
+            now_ns = time.monotonic_ns()
+            if now_ns - self._fed_ns >= interval_s * 1e9 and self._server.listening:
+                self._fed_ns = now_ns
+                self._notifier.alive()
+
+    def _tell_systemd(self, now_ns: int) -> None:
+        if not self._ready and all(self._decided(slot, now_ns) for slot in self._joints):
+            self._ready = True
+            text = self.status_text()
+            _log.info("ready status=%r", text)
+            self._notifier.ready(text)
+        elif now_ns - self._status_ns >= STATUS_TEXT_S * 1e9:
+            self._status_ns = now_ns
+            self._notifier.status(self.status_text())
+
+    def _decided(self, slot: int, now_ns: int) -> bool:
+        """Whether the joint is served, or its trouble has been reported."""
+        if StatusBit.VALID in self._pipeline.statuses[slot] or self._joints[slot].config.bus in self._buses_down:
+            return True
+        state = self._node_state[slot]
+        settled = now_ns - self._node_since_ns[slot] > SETTLE_S * 1e9
+        return state in _DECIDED and (state is not NodeState.RUNNING or settled)
+
+    def status_text(self) -> str:
+        """One line: how many joints are valid, and what the others suffer from."""
+        statuses = self._pipeline.statuses
+        valid = sum(StatusBit.VALID in status for status in statuses.values())
+        troubles = [
+            f"{self._joints[slot].config.name}: {reasons(status)}"
+            for slot, status in statuses.items()
+            if StatusBit.VALID not in status
+        ]
+        text = f"{valid} of {len(statuses)} joints valid"
+        return f"{text}; {'; '.join(troubles)}" if troubles else text
+
+
+def reasons(status: StatusBit) -> str:
+    """The bits that speak against a joint, as words."""
+    against = status & ~(StatusBit.VALID | StatusBit.CONFIGURED)
+    return ",".join(bit.name.lower() for bit in against if bit.name) or "none"

@@ -1,0 +1,94 @@
+"""The configuration is legal as a whole or refused with every fault and its line."""
+
+from pathlib import Path
+
+import pytest
+
+from trueangle.config import load_config, parse_config
+from trueangle.contract.errors import ContractError
+
+ROOT = Path(__file__).parents[2]
+GOOD = """\
+schema_version: 1
+buses:
+  - {name: arm, interface: virtual, channel: c0, sync_period_ms: 5}
+joints:
+  - slot: 1
+    name: base
+    bus: arm
+    node_id: 1
+    model: base.onnx
+    encoder: {counts_per_rev: 3276800}
+    temperature: {index: 0x7130, subindex: 1, degc_per_unit: 0.01}
+  - slot: 2
+    name: elbow
+    bus: arm
+    node_id: 2
+    model: elbow.onnx
+    encoder: {counts_per_rev: 3276800, settings: {serial_number: 12}}
+    temperature: {index: 0x7130, subindex: 1, degc_per_unit: 0.01}
+"""
+
+
+def faults_of(text: str) -> list[str]:
+    with pytest.raises(ContractError) as caught:
+        parse_config(text, source="t.yaml")
+    return [str(fault) for fault in caught.value.faults]
+
+
+def test_a_good_configuration_has_safe_defaults() -> None:
+    config = parse_config(GOOD, source="t.yaml")
+    assert config.modbus.host == "127.0.0.1"
+    assert [joint.slot for joint in config.joints] == [1, 2]
+    assert config.joints[1].encoder.settings.serial_number == 12
+    assert config.joints[0].sequence is None
+
+
+def test_the_shipped_example_is_good() -> None:
+    config = load_config(ROOT / "deploy" / "trueangled.yaml")
+    assert config.joints[0].temperature.index == 0x7130
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        (
+            ("node_id: 2", "node_id: 1"),
+            "line 15, joints[1].node_id: expected a node of its own, found node 1 on bus arm",
+        ),
+        (("slot: 2", "slot: 1"), "line 12, joints[1].slot: expected registers of its own, found 1, which is also"),
+        (("name: elbow", "name: base"), "line 13, joints[1].name: expected a name of its own"),
+        (
+            ("  bus: arm\n    node_id: 2", "  bus: leg\n    node_id: 2"),
+            "joints[1].bus: expected one of the buses: arm",
+        ),
+        (("node_id: 2", "node: 2"), "line 15, joints[1].node: expected a known key, found unknown key node"),
+        (("node_id: 2", "node_id: two"), "line 15, joints[1].node_id: expected a whole number, 1 to 127"),
+        (("node_id: 2", "node_id: 128"), "expected a whole number, 1 to 127, found 128"),
+        (("slot: 2", "slot: 33"), "expected a whole number, 1 to 32, found 33"),
+        (("counts_per_rev: 3276800}", "counts_per_rev: 1.5}"), "expected a whole number, 2 to"),
+        (("sync_period_ms: 5", "sync_period_ms: 0"), "sync_period_ms: expected a number, 0.5 to 10000, found 0"),
+        (("subindex: 1,", "subindex: 1, bits: 12,"), "bits: expected 8, 16 or 32, found 12"),
+        (("schema_version: 1", "schema_version: 2"), "line 1, schema_version"),
+        (("schema_version: 1\n", ""), "expected the key schema_version"),
+    ],
+)
+def test_each_fault_names_its_line_and_what_belongs_there(change: tuple[str, str], found: str) -> None:
+    assert change[0] in GOOD
+    assert any(found in fault for fault in faults_of(GOOD.replace(*change, 1)))
+
+
+def test_faults_in_different_places_are_reported_together() -> None:
+    text = GOOD.replace("node_id: 2", "node_id: x").replace("index: 0x7130", "index: 7", 1)
+    assert len(faults_of(text)) == 2
+
+
+def test_a_file_that_cannot_be_read_is_a_fault(tmp_path: Path) -> None:
+    with pytest.raises(ContractError, match=r"nowhere\.yaml: expected a readable file, found No such file"):
+        load_config(tmp_path / "nowhere.yaml")
+    (tmp_path / "latin.yaml").write_bytes(b"a: 1\nb: \xe9\n")
+    with pytest.raises(ContractError, match=r"latin\.yaml line 2: expected UTF-8 text"):
+        load_config(tmp_path / "latin.yaml")
+    (tmp_path / "big.yaml").write_bytes(b"#" * 1_000_001)
+    with pytest.raises(ContractError, match="expected at most 1000000 bytes"):
+        load_config(tmp_path / "big.yaml")

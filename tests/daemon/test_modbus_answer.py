@@ -1,0 +1,208 @@
+"""The socketless Modbus server: bytes in, bytes out, however they are cut and however wrong they are."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymodbus.constants import ExcCodes
+from tests.fakes.modbus_tcp_client import frame, read_request, split_frames
+from tests.fakes.register_values import joint_identity, joint_state
+
+from trueangle.core.modbus_answer import ExceptionCode, ModbusTcpStream
+from trueangle.core.registers import RegisterImage, RegisterMap
+
+UNIT_ID = 17
+IMAGE = RegisterMap([joint_identity()]).image(
+    cycle=0xA1A2_A3A4, heartbeat=9, service_status=0, states={1: joint_state()}
+)
+
+
+def feed(stream: ModbusTcpStream, data: bytes, image: RegisterImage | None = IMAGE, step: int = 260) -> bytes:
+    """Hand over the bytes as a socket would: as many as fit, at most `step` at a time."""
+    answers = b""
+    while data and stream.broken is None:
+        space = stream.free_space()
+        take = min(step, len(space), len(data))
+        assert take > 0
+        space[:take] = data[:take]
+        answers += stream.answer(take, image)
+        data = data[take:]
+    return answers
+
+
+def answer(data: bytes, image: RegisterImage | None = IMAGE) -> bytes:
+    return feed(ModbusTcpStream(UNIT_ID), data, image)
+
+
+@pytest.mark.parametrize("function", [3, 4])
+@pytest.mark.parametrize("unit", [0, 255, UNIT_ID])
+def test_a_read_is_answered_from_the_image_under_its_transaction_and_unit(function: int, unit: int) -> None:
+    data = IMAGE.read(2, 10)
+    assert data is not None
+    expected = bytes.fromhex("beef 0000 0017") + bytes([unit, function, 20]) + data
+    assert answer(read_request(function, 2, 10, transaction=0xBEEF, unit=unit)) == expected
+    assert data.startswith(bytes.fromhex("a1a2a3a4"))
+
+
+@pytest.mark.parametrize(
+    ("pdu", "expected"),
+    [
+        pytest.param("04 0000 0000", "84 03", id="count 0"),
+        pytest.param("04 0000 007e", "84 03", id="count 126"),
+        pytest.param("03 0000 ffff", "83 03", id="count 65535"),
+        pytest.param("04 0000 00", "84 03", id="one byte short"),
+        pytest.param("04 0000 0001 00", "84 03", id="one byte long"),
+        pytest.param("04", "84 03", id="function code alone"),
+        pytest.param("04 0054 0001", "84 02", id="behind the fast group"),
+        pytest.param("04 0000 0055", "84 02", id="out of the fast group"),
+        pytest.param("04 0000 007d", "84 02", id="125 registers"),
+        pytest.param("04 0064 0001", "84 02", id="group without a joint"),
+        pytest.param("04 ffff 007d", "84 02", id="end of the address space"),
+        pytest.param("65 00 00", "e5 01", id="unknown function"),
+        pytest.param("06 0000 0001", "86 01", id="write"),
+        pytest.param("2b 0e 01 00", "ab 01", id="identification"),
+        pytest.param("00", "80 01", id="function 0"),
+        pytest.param("80 0000 0001", "80 01", id="function 0x80"),
+        pytest.param("84 0000 0001", "84 01", id="exception bit in the request"),
+        pytest.param("ff", "ff 01", id="function 0xFF"),
+    ],
+)
+def test_a_wrong_request_gets_its_exception(pdu: str, expected: str) -> None:
+    request = frame(bytes.fromhex(pdu), transaction=3, unit=UNIT_ID)
+    assert answer(request) == frame(bytes.fromhex(expected), transaction=3, unit=UNIT_ID)
+
+
+@pytest.mark.parametrize("pdu", ["04 0000 0001", "06 0000 0001", "04 0000 0000"])
+def test_a_foreign_unit_is_a_gateway_target_that_failed(pdu: str) -> None:
+    request = bytes.fromhex(pdu)
+    assert answer(frame(request, unit=18)) == frame(bytes([request[0] | 0x80, 0x0B]), unit=18)
+
+
+def test_before_the_first_image_a_good_read_finds_the_server_busy() -> None:
+    assert answer(read_request(4, 0, 84, unit=0), image=None) == frame(b"\x84\x06", unit=0)
+    assert answer(read_request(4, 0, 0, unit=0), image=None) == frame(b"\x84\x03", unit=0)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "0001 0001 0006 00",
+        "0001 8000 0006 00",
+        "0001 0000 0000 00",
+        "0001 0000 0001 00",
+        "0001 0000 00ff 00",
+        "0001 0000 ffff 00",
+    ],
+)
+def test_a_header_that_cannot_be_right_ends_the_stream_after_the_requests_before_it(header: str) -> None:
+    stream = ModbusTcpStream(UNIT_ID)
+    good = read_request(4, 0, 1, unit=0)
+    answers = feed(stream, good + bytes.fromhex(header) + good)
+    assert len(split_frames(answers)) == 1
+    assert stream.broken is not None
+    assert stream.answer(12, IMAGE) == b""
+
+
+def test_the_longest_and_the_shortest_frame_are_understood() -> None:
+    longest = frame(b"\x10" + bytes(252), unit=0)
+    assert len(longest) == 260
+    assert split_frames(answer(longest + frame(b"\x07", unit=0))) == [
+        frame(b"\x90\x01", unit=0),
+        frame(b"\x87\x01", unit=0),
+    ]
+
+
+@pytest.mark.parametrize("step", [1, 2, 5, 7, 11, 13, 260])
+def test_pipelined_requests_are_all_answered_in_order_however_they_are_cut(step: int) -> None:
+    requests = [read_request(4, number % 80, 2, transaction=number, unit=0) for number in range(100)]
+    frames = split_frames(feed(ModbusTcpStream(UNIT_ID), b"".join(requests), step=step))
+    assert [int.from_bytes(one[:2], "big") for one in frames] == list(range(100))
+    assert [one[9:] for one in frames] == [IMAGE.read(number % 80, 2) for number in range(100)]
+
+
+def test_one_read_of_the_buffer_answers_no_more_than_it_holds() -> None:
+    stream = ModbusTcpStream(UNIT_ID)
+    requests = read_request(4, 0, 84, unit=0) * 30
+    assert len(stream.free_space()) == 260
+    stream.free_space()[:] = requests[:260]
+    assert len(split_frames(stream.answer(260, IMAGE))) == 21
+
+
+def test_requests_and_exceptions_are_counted() -> None:
+    stream = ModbusTcpStream(UNIT_ID)
+    feed(stream, read_request(4, 0, 1, unit=0) + read_request(4, 0, 0, unit=0) + read_request(4, 0, 1, unit=9))
+    assert (stream.requests, stream.exceptions) == (3, 2)
+
+
+def test_exception_codes_are_those_of_the_specification_as_pymodbus_has_them() -> None:
+    assert list(ExceptionCode) == [
+        ExcCodes.ILLEGAL_FUNCTION,
+        ExcCodes.ILLEGAL_ADDRESS,
+        ExcCodes.ILLEGAL_VALUE,
+        ExcCodes.DEVICE_BUSY,
+        ExcCodes.GATEWAY_NO_RESPONSE,
+    ]
+
+
+def expected_answers(data: bytes) -> tuple[list[bytes], bool]:
+    """The specification applied slowly to all bytes at once: answers, and whether the stream is still good."""
+    answers: list[bytes] = []
+    while len(data) >= 7:
+        length = int.from_bytes(data[4:6], "big")
+        if data[2:4] != b"\0\0" or not 2 <= length <= 254:
+            return answers, False
+        if len(data) < 6 + length:
+            break
+        transaction, unit, pdu = int.from_bytes(data[:2], "big"), data[6], data[7 : 6 + length]
+        function, registers = pdu[0], None
+        if unit not in (0, 255, UNIT_ID):
+            code = 0x0B
+        elif function not in (3, 4):
+            code = 1
+        elif len(pdu) != 5 or not 1 <= (count := int.from_bytes(pdu[3:5], "big")) <= 125:
+            code = 3
+        else:
+            code = 2
+            registers = IMAGE.read(int.from_bytes(pdu[1:3], "big"), count)
+        answer_pdu = (
+            bytes([function | 0x80, code]) if registers is None else bytes([function, len(registers)]) + registers
+        )
+        answers.append(frame(answer_pdu, transaction=transaction, unit=unit))
+        data = data[6 + length :]
+    return answers, True
+
+
+_REQUESTS = st.builds(
+    read_request,
+    st.sampled_from([3, 4, 4, 4, 6, 0x84]),
+    st.sampled_from([0, 10, 82, 1000, 1068, 1100]) | st.integers(0, 65535),
+    st.integers(0, 130),
+    transaction=st.integers(0, 65535),
+    unit=st.sampled_from([0, 255, UNIT_ID, 5]),
+)
+_FRAMES = st.builds(frame, st.binary(min_size=1, max_size=253), unit=st.sampled_from([0, 255, 5]))
+
+
+@st.composite
+def _streams(draw: st.DrawFn) -> bytes:
+    """Good requests and any PDUs, then bytes changed, inserted or lost."""
+    data = bytearray(b"".join(draw(st.lists(_REQUESTS | _FRAMES | st.binary(max_size=20), max_size=12))))
+    for _ in range(draw(st.integers(0, 3))):
+        at = draw(st.integers(0, len(data)))
+        data[at : at + draw(st.integers(0, 2))] = draw(st.binary(max_size=3))
+    return bytes(data)
+
+
+@given(data=_streams() | st.binary(max_size=600), steps=st.lists(st.integers(1, 300), min_size=1, max_size=40))
+def test_any_bytes_in_any_pieces_are_answered_as_the_specification_says(data: bytes, steps: list[int]) -> None:
+    stream = ModbusTcpStream(UNIT_ID)
+    answers, at = b"", 0
+    for number in range(len(data)):
+        if at >= len(data) or stream.broken is not None:
+            break
+        step = steps[number % len(steps)]
+        answers += feed(stream, data[at : at + step])
+        at += step
+    frames, good = expected_answers(data)
+    assert answers == b"".join(frames)
+    assert (stream.broken is None) == good
+    assert stream.requests == len(frames)

@@ -1,0 +1,91 @@
+"""Model files: the good one serves, every broken one is refused by name.
+
+The files in tests/data/models are written by tests/data/make_models.py, which needs the training extra; here the
+daemon reads them without it.
+"""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trueangle.contract.errors import ContractError
+from trueangle.edges.onnx_model import load_model
+
+DATA = Path(__file__).parents[1] / "data" / "models"
+
+
+def refused(path: Path, pinned_sha256: str | None = None) -> str:
+    with pytest.raises(ContractError) as caught:
+        load_model(path, pinned_sha256=pinned_sha256)
+    return str(caught.value)
+
+
+def test_a_good_model_corrects_and_is_zero_at_its_datum() -> None:
+    model = load_model(DATA / "good.onnx")
+    datum = np.full(4, model.metadata.datum_deg)
+    answer = model.correct(datum, np.array([10.0, 20.0, 30.0, 40.0]))
+    assert answer.correction_arcsec.tolist() == [0.0, 0.0, 0.0, 0.0]
+    assert abs(model.correct(np.array([123.0]), np.array([25.0])).correction_arcsec[0]) > 1.0
+
+
+def test_whole_turns_do_not_change_the_correction() -> None:
+    model = load_model(DATA / "good.onnx")
+    angle_deg = np.linspace(0, 359.9, 50)
+    temperature_c = np.full(50, 23.0)
+    once = model.correct(angle_deg, temperature_c).correction_arcsec
+    for turns in (-3, 1, 7):
+        again = model.correct(angle_deg + 360.0 * turns, temperature_c).correction_arcsec
+        assert np.abs(again - once).max() < 1e-9
+
+
+def test_no_samples_give_no_corrections() -> None:
+    assert load_model(DATA / "good.onnx").correct(np.empty(0), np.empty(0)).correction_arcsec.shape == (0,)
+
+
+def test_the_pinned_file_is_accepted_and_any_other_refused() -> None:
+    sha256 = hashlib.sha256((DATA / "good.onnx").read_bytes()).hexdigest()
+    assert load_model(DATA / "good.onnx", pinned_sha256=sha256).sha256 == sha256
+    assert "expected the pinned SHA-256" in refused(DATA / "good.onnx", "0" * 64)
+
+
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [
+        ("probe-disagrees.onnx", "expected probes that come out as they were written, found probe 8"),
+        # One sign bit of one weight: the file is well-formed, only the probes can tell.
+        ("flipped-weight.onnx", "expected probes that come out as they were written, found probe"),
+        ("wrong-inputs.onnx", "expected the inputs angle_deg, temperature_c, found theta, temperature_c"),
+        ("float32.onnx", "expected tensor(double) of shape [n], found tensor(float)"),
+        ("no-metadata.onnx", "expected metadata under the key trueangle, found none"),
+        ("newer-metadata.onnx", "schema_version: expected a whole number, 1 to 1, found 2"),
+        ("external-data.onnx", "expected all weights inside the file, found a reference to external data"),
+    ],
+)
+def test_a_model_that_breaks_the_contract_is_refused_by_name(name: str, found: str) -> None:
+    text = refused(DATA / name)
+    assert name in text
+    assert found in text
+
+
+def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
+    whole = (DATA / "good.onnx").read_bytes()
+    for name, data in (
+        ("cut.onnx", whole[: len(whole) // 2]),
+        ("garbage.onnx", bytes(range(256)) * 40),
+        ("text.onnx", b"hello"),
+    ):
+        (tmp_path / name).write_bytes(data)
+        assert "an ONNX model that ONNX Runtime can load" in refused(tmp_path / name) or "metadata" in refused(
+            tmp_path / name
+        )
+    (tmp_path / "empty.onnx").write_bytes(b"")
+    assert "found an empty file" in refused(tmp_path / "empty.onnx")
+    assert "expected a readable model file" in refused(tmp_path / "nowhere.onnx")
+
+
+def test_a_run_that_fails_gives_nan_and_no_exception() -> None:
+    model = load_model(DATA / "good.onnx")
+    answer = model.correct(np.zeros(3), np.zeros(2))
+    assert np.isnan(answer.correction_arcsec).all()
