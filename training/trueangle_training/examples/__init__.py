@@ -1,0 +1,1 @@
+"""Shipped examples: the joint and the campaign that the documentation uses."""
