@@ -44,7 +44,7 @@ registers: $(SETUP)
 UV_LOCK = uv pip compile -q pyproject.toml --universal --python-version 3.11 --generate-hashes \
 	--no-emit-index-url --no-header --no-annotate
 lock:
-	$(UV_LOCK) --extra training --group build --group test --group lint -o requirements-dev.lock
+	$(UV_LOCK) --extra training --group build --group test --group bench --group lint -o requirements-dev.lock
 	$(UV_LOCK) --group build --group test -c requirements-dev.lock -o requirements-controller-test.lock
 	$(UV_LOCK) -c requirements-dev.lock -o requirements.lock
 

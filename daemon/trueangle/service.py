@@ -202,6 +202,7 @@ class Service:
             on_status=self._on_status,
         )
         self._masters: dict[str, CanMaster] = {}
+        self._process_data = {bus.name: self._pipeline.process_data(bus.name) for bus in config.buses}
         self._node_state = dict.fromkeys(self._joints, NodeState.UNKNOWN)
         self._node_since_ns = dict.fromkeys(self._joints, 0)
         self._buses_down: dict[str, str] = {}
@@ -222,16 +223,15 @@ class Service:
             loop.add_signal_handler(number, self.stop)
         try:
             async with AsyncExitStack() as stack:
-                port = await self._server.start()
+                await self._server.start()
                 stack.push_async_callback(self._server.close)
-                _log.info("modbus_listening host=%s port=%d", self._config.modbus.host, port)
                 await self._open_buses(stack)
                 stack.callback(self._notifier.stopping)
                 await self._tick_until_stopped()
         finally:
             for number in (signal.SIGTERM, signal.SIGINT):
                 loop.remove_signal_handler(number)
-        _log.info("stopped images=%d", self._pipeline.counters.images)
+        _log.info("event=stopped images=%d", self._pipeline.counters.images)
 
     async def _open_buses(self, stack: AsyncExitStack) -> None:
         for settings in self._config.buses:
@@ -259,9 +259,11 @@ class Service:
                 self._tell_systemd(now_ns)
 
     def _on_frames(self, bus: str, frames: list[Frame]) -> None:
-        foreign = self._pipeline.on_frames(bus, frames, time.monotonic_ns())
-        for cob_id, data, _ in foreign:
-            self._masters[bus].notify(cob_id, data)
+        process_data, master = self._process_data[bus], self._masters[bus]
+        for cob_id, data, _ in frames:
+            if cob_id not in process_data:
+                master.notify(cob_id, data)
+        self._pipeline.on_frames(bus, frames, time.monotonic_ns())
 
     def _on_bus_state(self, bus: str, *, up: bool, reason: str) -> None:
         if up:
@@ -285,11 +287,13 @@ class Service:
         name = self._joints[slot].config.name
         if StatusBit.VALID in after:
             lasted_s = (now_ns - self._invalid_since_ns.get(slot, now_ns)) * 1e-9
-            _log.info("joint_valid slot=%d joint=%r after_s=%.3f was=%s", slot, name, lasted_s, reasons(before))
+            _log.info(
+                "event=joint_valid slot=%d joint=%r after_s=%.3f was=%s", slot, name, lasted_s, reasons(before)
+            )
             return
         if StatusBit.VALID in before:
             self._invalid_since_ns[slot] = now_ns
-        _log.warning("joint_not_valid slot=%d joint=%r reasons=%s", slot, name, reasons(after))
+        _log.warning("event=joint_not_valid slot=%d joint=%r reasons=%s", slot, name, reasons(after))
 
     def _publish(self, image: RegisterImage) -> None:
         self._server.publish(image)
@@ -304,7 +308,7 @@ class Service:
         if not self._ready and all(self._decided(slot, now_ns) for slot in self._joints):
             self._ready = True
             text = self.status_text()
-            _log.info("ready status=%r", text)
+            _log.info("event=ready status=%r", text)
             self._notifier.ready(text)
         elif now_ns - self._status_ns >= STATUS_TEXT_S * 1e9:
             self._status_ns = now_ns

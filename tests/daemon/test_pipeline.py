@@ -96,8 +96,8 @@ class Bench:
     def temperature(self, slot: int, temperature_c: float) -> tuple[int, bytes, int]:
         return (0x280 + slot, struct.pack("<h", round(temperature_c * 100)), self.now_ns)
 
-    def feed(self, *frames: tuple[int, bytes, int]) -> list[tuple[int, bytes, int]]:
-        return self.pipeline.on_frames("arm", frames, self.now_ns)
+    def feed(self, *frames: tuple[int, bytes, int]) -> None:
+        self.pipeline.on_frames("arm", frames, self.now_ns)
 
     def cycle(self, sequence: int, angle_deg: float = 90.0, slots: tuple[int, ...] = (1, 2)) -> None:
         """SYNC, 1 ms later the answers of these slots, then 4 ms of nothing."""
@@ -262,10 +262,12 @@ def test_frames_of_the_wrong_length_are_counted_and_never_decoded() -> None:
     assert bench.fast(1)["raw"] == 90 * 3_600_000
 
 
-def test_frames_of_nobody_come_back_for_the_master() -> None:
+def test_process_data_are_the_planned_tpdos_and_sync() -> None:
     bench = running()
-    frames = [(0x701, b"\x05", bench.now_ns), (0x081, b"\0" * 8, bench.now_ns)]
-    assert bench.feed(*frames) == frames
+    assert bench.pipeline.process_data("arm") == {0x080, 0x181, 0x281, 0x182, 0x282}
+    before = bench.images[-1]
+    bench.feed((0x701, b"\x05", bench.now_ns), (0x081, b"\0" * 8, bench.now_ns), (0x381, b"\1" * 6, bench.now_ns))
+    assert bench.images[-1] is before
 
 
 def test_frames_of_a_node_out_of_service_are_not_decoded() -> None:

@@ -97,7 +97,7 @@ class ReferenceRecord:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FitErrors:
-    """How the model fits, from the datum at the same temperature; None: not evaluated."""
+    """RMS of readings about the model's own error curve, its constant included; None: not evaluated."""
 
     in_sample_rmse_arcsec: float | None = None
     """Over the readings it was trained on: says little about other angles and temperatures."""

@@ -89,18 +89,23 @@ class Pipeline:
         self.counters = PipelineCounters()
         self.last_image_ns: int | None = None
 
-    def on_frames(self, bus: str, frames: Iterable[Frame], now_ns: int) -> list[Frame]:
-        """A batch of received frames, in order; those that no joint expects come back for the master."""
+    def process_data(self, bus: str) -> frozenset[int]:
+        """The COB-IDs on this bus that are the pipeline's; every other frame is the master's."""
+        return frozenset(cob_id for name, cob_id in self._table if name == bus) | {SYNC_COB_ID}
+
+    def on_frames(self, bus: str, frames: Iterable[Frame], now_ns: int) -> None:
+        """A batch of received frames, in order; those of other COB-IDs are passed over.
+
+        The master must have seen its frames of the batch first: a node that says in it that it has rebooted is
+        then out of service before a frame of its unknown new mapping could be decoded by the old one.
+        """
         moved = False
-        foreign: list[Frame] = []
-        for frame in frames:
-            cob_id, data, stamp_ns = frame
+        for cob_id, data, stamp_ns in frames:
             if cob_id == SYNC_COB_ID:
                 self.on_sync(bus, stamp_ns)
                 continue
             entry = self._table.get((bus, cob_id))
             if entry is None:
-                foreign.append(frame)
                 continue
             joint, layout = entry
             if len(data) != layout.length:
@@ -112,7 +117,6 @@ class Pipeline:
                 self._awaited.discard(joint.channel.slot)
         if moved and not self._awaited:
             self._end_cycle(now_ns)
-        return foreign
 
     def on_sync(self, bus: str, now_ns: int) -> None:
         """SYNC on this bus, sent by us or by another node: a cycle that has not ended yet ends here."""

@@ -61,7 +61,12 @@ FAST_HEADER = (
         "counts register images; equal to the tail in one whole read",
         may_be_missing=False,
     ),
-    RegisterField("heartbeat", _T.UINT16, "counts finished sample cycles; stands still while no joint sends positions", may_be_missing=False),
+    RegisterField(
+        "heartbeat",
+        _T.UINT16,
+        "counts finished sample cycles; stands still while no joint sends positions",
+        may_be_missing=False,
+    ),
     RegisterField(
         "not_valid",
         _T.UINT32,

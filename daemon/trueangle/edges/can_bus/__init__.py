@@ -1,0 +1,188 @@
+"""The transport to one CAN bus: opens it, reads it in batches, produces SYNC, opens it again when it is lost.
+
+Rules of this package: python-can is met only here. Everything outside runs on the loop. Frames reach
+`on_frames` in the order of reception, and every frame that came before a SYNC is handed on before `on_sync`
+is called. Nothing here knows what a frame means.
+"""
+
+import asyncio
+import logging
+import socket
+import threading
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self
+
+import can
+
+from trueangle.config import BusConfig
+from trueangle.core.bus import backoff_s, next_sync
+from trueangle.edges.can_bus.link import BusCounters, BusOpener, Frame, FrameHandler, Link
+from trueangle.edges.can_bus.socketcan import SocketcanLink
+from trueangle.edges.can_bus.threaded import ThreadedLink
+from trueangle.errors import LinkError
+
+__all__ = ["BusCounters", "CanBus", "Frame", "open_python_can"]
+
+SYNC_COB_ID = 0x080
+FIRST_BACKOFF_S, LIMIT_BACKOFF_S = 0.2, 5.0
+STABLE_S = 10.0
+"""A bus that held so long starts again with the shortest pause."""
+
+_log = logging.getLogger(__name__)
+
+
+class CanBus:
+    """One CAN bus for as long as the daemon runs; `async with` opens it and keeps it open.
+
+    `on_frames(batch)`, `on_bus_state(up, reason)` and `on_sync(stamp_ns)` are called on the loop's thread.
+    Error, remote and extended frames are counted and not handed on. SYNC frames of another producer are part
+    of `on_frames`; `on_sync` is called just before an own SYNC leaves.
+    """
+
+    def __init__(
+        self,
+        settings: BusConfig,
+        *,
+        on_frames: FrameHandler,
+        on_bus_state: Callable[[bool, str], None],
+        on_sync: Callable[[int], None] | None = None,
+        opener: BusOpener | None = None,
+    ) -> None:
+        self.settings = settings
+        self.counters = BusCounters()
+        self._on_frames = on_frames
+        self._on_bus_state = on_bus_state
+        self._on_sync = on_sync
+        self._opener = opener or open_python_can
+        self._link: Link | None = None
+        self._sending = threading.Lock()
+        self._tasks = asyncio.TaskGroup()
+        self._life: asyncio.Task[None] | None = None
+        self._reported: tuple[bool, str] | None = None
+
+    async def __aenter__(self) -> Self:
+        await self._tasks.__aenter__()
+        self._life = self._tasks.create_task(self._live(), name=f"can-bus {self.settings.name}")
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._life is not None:
+            self._life.cancel()
+        # The group needs to see its own cancellation of the body; the body's errors stay the body's.
+        if isinstance(error, asyncio.CancelledError):
+            await self._tasks.__aexit__(kind, error, trace)
+        else:
+            await self._tasks.__aexit__(None, None, None)
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Queue one frame; from any thread. LinkError where the bus is down or its queue full."""
+        with self._sending:
+            try:
+                self._open_link().send(can_id, data)
+            except LinkError:
+                self.counters.send_failures += 1
+                raise
+            self.counters.sent += 1
+
+    def _open_link(self) -> Link:
+        if self._link is None:
+            raise LinkError(f"bus {self.settings.name}: down, nothing can be sent")
+        return self._link
+
+    async def _live(self) -> None:
+        failures = 0
+        while True:
+            opened_s = time.monotonic()
+            reason = await self._open_until_lost()
+            failures = 1 if time.monotonic() - opened_s > STABLE_S else failures + 1
+            self._report(False, reason)
+            await asyncio.sleep(backoff_s(failures, FIRST_BACKOFF_S, LIMIT_BACKOFF_S))
+
+    async def _open_until_lost(self) -> str:
+        lost: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        link = self._new_link(lost)
+        try:
+            await link.open()
+            self._link = link
+            self.counters.times_opened += 1
+            self._report(True, "open")
+            async with asyncio.TaskGroup() as tasks:
+                sync = tasks.create_task(self._produce_sync(link))
+                reason = await lost
+                sync.cancel()
+        except LinkError as error:
+            return str(error)
+        finally:
+            self._link = None
+            await link.close()
+        return f"bus {self.settings.name}: {reason}"
+
+    def _new_link(self, lost: asyncio.Future[str]) -> Link:
+        if self.settings.interface == "socketcan":
+            return SocketcanLink(self.settings, self._opener, self._on_frames, self.counters, lost)
+        return ThreadedLink(self.settings, self._opener, self._on_frames, self.counters, lost)
+
+    def _report(self, up: bool, reason: str) -> None:
+        """Tell and log what changed; the same failure again is neither told nor logged."""
+        if (up, reason) != self._reported:
+            self._reported = (up, reason)
+            _log.log(
+                logging.INFO if up else logging.WARNING,
+                "can_bus bus=%s up=%s opened=%d reason=%r",
+                self.settings.name,
+                up,
+                self.counters.times_opened,
+                reason,
+            )
+            self._on_bus_state(up, reason)
+
+    async def _produce_sync(self, link: Link) -> None:
+        """SYNC on an absolute schedule (CiA 301, 7.2.5; without the optional counter byte)."""
+        if self.settings.sync_period_ms is None:
+            return
+        period_ns = round(self.settings.sync_period_ms * 1e6)
+        deadline_ns = time.monotonic_ns() + period_ns
+        while True:
+            await asyncio.sleep((deadline_ns - time.monotonic_ns()) / 1e9)
+            stamp_ns = time.monotonic_ns()
+            link.hand_over()
+            if self._on_sync is not None:
+                self._on_sync(stamp_ns)
+            try:
+                self.send(SYNC_COB_ID, b"")
+                self.counters.sync_sent += 1
+            except LinkError:
+                self.counters.sync_skipped += 1
+            step = next_sync(deadline_ns, period_ns, stamp_ns)
+            self.counters.sync_skipped += step.skipped
+            deadline_ns = step.deadline_ns
+
+
+def open_python_can(settings: BusConfig) -> can.BusABC:
+    """Open the interface with exactly these settings: python-can's own configuration is ignored."""
+    # It logs every attempt on an absent interface and every socketcand line that straddles two reads; what
+    # ends a link is logged by CanBus.
+    logging.getLogger("can").setLevel(logging.CRITICAL)
+    options = dict(settings.options)
+    if settings.bitrate is not None:
+        options["bitrate"] = settings.bitrate
+    if settings.interface == "socketcand":
+        _expect_socketcand(str(options.get("host", "")), int(options.get("port", 0)))
+        # Small frames wait for the peer's delayed acknowledgement (40 ms) unless TCP_NODELAY is set.
+        options.setdefault("tcp_tune", True)
+    return can.Bus(channel=settings.channel, interface=settings.interface, ignore_config=True, **options)  # pyright: ignore[reportArgumentType]
+
+
+def _expect_socketcand(host: str, port: int) -> None:
+    """OSError unless a socketcand greets there.
+
+    python-can 4.6 tries a refused connection in a busy loop for 10 s, and waits without limit for a greeting.
+    """
+    with socket.create_connection((host, port), timeout=1.0) as probe:
+        greeting = probe.recv(256)
+    if not greeting.startswith(b"< hi >"):
+        raise ConnectionError(f"{host}:{port} is no socketcand: greeted with {greeting[:40]!r}")

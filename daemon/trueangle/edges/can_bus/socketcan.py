@@ -1,0 +1,158 @@
+"""SocketCAN read on the loop: no thread, no Message objects, the whole burst at once."""
+
+import asyncio
+import contextlib
+import errno
+import os
+import socket
+import struct
+import time
+
+import can
+
+from trueangle.config import BusConfig
+from trueangle.edges.can_bus.link import (
+    COALESCE_S,
+    BusCounters,
+    BusOpener,
+    Frame,
+    FrameHandler,
+    cannot_open,
+    lose,
+)
+from trueangle.errors import LinkError
+
+RECEIVE_BUFFER_BYTES = 1 << 20
+MAX_DRAIN_FRAMES = 4096
+"""At most so many frames in one turn, so that a babbling bus cannot starve the loop."""
+FULL_QUEUE_LIMIT = 50
+"""ENOBUFS says that the controller's queue is full: normal once, a cut cable when it goes on."""
+
+_CAN_FRAME = struct.Struct("=IB3x8s")
+"""struct can_frame of linux/can.h: id with flags, length, 3 bytes of padding, data."""
+_EXTENDED, _REMOTE, _ERROR = 0x80000000, 0x40000000, 0x20000000
+_ERROR_BUS_OFF = 0x40
+_SO_MEMINFO, _MEMINFO_DROPS = 55, 8
+"""asm-generic/socket.h and SK_MEMINFO_DROPS of linux/sock_diag.h: drops of a full receive buffer."""
+
+
+class SocketcanLink:
+    """A raw SocketCAN socket read on the loop: no thread, no Message objects, the whole burst at once."""
+
+    def __init__(
+        self,
+        settings: BusConfig,
+        opener: BusOpener,
+        on_frames: FrameHandler,
+        counters: BusCounters,
+        lost: asyncio.Future[str],
+    ) -> None:
+        self._settings, self._opener, self._on_frames = settings, opener, on_frames
+        self._counters, self._lost = counters, lost
+        self._loop = lost.get_loop()
+        self._bus: can.BusABC | None = None
+        self._socket: socket.socket | None = None
+        self._drain_timer: asyncio.TimerHandle | None = None
+        self._full_in_a_row = 0
+        self._drops_seen = 0
+
+    async def open(self) -> None:
+        try:
+            self._bus = self._opener(self._settings)
+            raw = _raw_socket(self._bus)
+        except (can.CanError, OSError, ValueError, TypeError) as error:
+            raise LinkError(cannot_open(self._settings, error)) from error
+        self._socket = raw
+        self._loop.add_reader(raw.fileno(), self._wake)
+
+    def send(self, can_id: int, data: bytes) -> None:
+        if self._socket is None:
+            raise LinkError(f"bus {self._settings.name}: not open")
+        try:
+            self._socket.send(_CAN_FRAME.pack(can_id, len(data), data))
+            self._full_in_a_row = 0
+        except OSError as error:
+            if error.errno in (errno.ENOBUFS, errno.EAGAIN):
+                self._full_in_a_row += 1
+            if error.errno not in (errno.ENOBUFS, errno.EAGAIN) or self._full_in_a_row >= FULL_QUEUE_LIMIT:
+                self._loop.call_soon_threadsafe(lose, self._lost, f"cannot send: {error}")
+            raise LinkError(f"bus {self._settings.name}: cannot send 0x{can_id:03X}: {error}") from error
+
+    def hand_over(self) -> None:
+        """Read everything that is there and hand it on as one batch."""
+        if self._socket is None:
+            return
+        frames: list[Frame] = []
+        try:
+            for _ in range(MAX_DRAIN_FRAMES):
+                raw = self._socket.recv(_CAN_FRAME.size)
+                if not raw:
+                    lose(self._lost, "closed by the other side")
+                    break
+                self._sort(raw, frames)
+        except BlockingIOError:
+            pass
+        except OSError as error:
+            lose(self._lost, f"cannot receive: {error}")
+        if frames:
+            self._counters.frames += len(frames)
+            self._on_frames(frames)
+
+    def _sort(self, raw: bytes, frames: list[Frame]) -> None:
+        if len(raw) != _CAN_FRAME.size:
+            self._counters.error_frames += 1
+            return
+        can_id, length, data = _CAN_FRAME.unpack(raw)
+        if not can_id & (_EXTENDED | _REMOTE | _ERROR):
+            frames.append((can_id, data[:length], time.monotonic_ns()))
+        elif can_id & _ERROR:
+            self._counters.error_frames += 1
+            if can_id & _ERROR_BUS_OFF:
+                lose(self._lost, "controller is bus-off: check wiring, termination and bit rate")
+        elif can_id & _REMOTE:
+            self._counters.remote_frames += 1
+        else:
+            self._counters.extended_frames += 1
+
+    def _wake(self) -> None:
+        if self._socket is not None:
+            self._loop.remove_reader(self._socket.fileno())
+            self._drain_timer = self._loop.call_later(COALESCE_S, self._drain)
+
+    def _drain(self) -> None:
+        self._drain_timer = None
+        self.hand_over()
+        if self._socket is not None and not self._lost.done():
+            self._count_kernel_drops(self._socket)
+            self._loop.add_reader(self._socket.fileno(), self._wake)
+
+    def _count_kernel_drops(self, raw: socket.socket) -> None:
+        with contextlib.suppress(OSError, struct.error):  # kernels before 4.12 do not tell
+            memory = raw.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, 4 * (_MEMINFO_DROPS + 1))
+            drops: int = struct.unpack_from("=I", memory, 4 * _MEMINFO_DROPS)[0]
+            self._counters.frames_dropped += drops - self._drops_seen
+            self._drops_seen = drops
+
+    async def close(self) -> None:
+        if self._drain_timer is not None:
+            self._drain_timer.cancel()
+        if self._socket is not None:
+            self._loop.remove_reader(self._socket.fileno())
+            self._socket = None
+        if self._bus is not None:
+            self._bus.shutdown()
+            self._bus = None
+
+
+def _raw_socket(bus: can.BusABC) -> socket.socket:
+    """The socket of python-can's SocketcanBus, made ready for the loop; OSError where the interface is down."""
+    raw = getattr(bus, "socket", None)
+    if not isinstance(raw, socket.socket):
+        raise TypeError(f"{type(bus).__name__} has no socket")
+    raw.setblocking(False)
+    raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+    # Binding to an interface that is down succeeds and leaves ENETDOWN behind.
+    pending = raw.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+    if pending:
+        raise OSError(pending, os.strerror(pending))
+    return raw

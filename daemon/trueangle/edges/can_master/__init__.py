@@ -1,0 +1,94 @@
+"""The CANopen master of one bus: every node's life cycle, fed with what is not process data.
+
+Of the canopen library only the SDO client is used: it has no heartbeat time-out, takes an NMT state for reached
+because it was commanded, and its PdoMap.save() writes no mapping where an EDS declares 0x1A00 as an array.
+"""
+
+import asyncio
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from types import TracebackType
+from typing import Self
+
+from trueangle.contract.encoder import EncoderSettings
+from trueangle.core.frames import NodePlan
+from trueangle.core.node_setup import NodeReport
+from trueangle.edges.can_master.node import NodeSupervisor
+from trueangle.edges.can_master.sdo import FrameSender, MasterTiming, SdoNetwork, SdoPort
+
+__all__ = ["CanMaster", "FrameSender", "MasterTiming"]
+
+MAX_SDO_THREADS = 8
+
+
+class CanMaster:
+    """All nodes of one bus; `async with` runs their life cycles.
+
+    Feed it every frame that is not process data by `notify`, and the bus state by `on_bus_state`; both on
+    the loop's thread. `on_node(slot, report)` is called on the loop at each change of state. `accept(slot,
+    settings)` gives the differences for which the node's angle must not be corrected; empty accepts.
+    """
+
+    def __init__(
+        self,
+        bus: FrameSender,
+        plans: Sequence[NodePlan],
+        *,
+        on_node: Callable[[int, NodeReport], None],
+        accept: Callable[[int, EncoderSettings], list[str]],
+        timing: MasterTiming | None = None,
+    ) -> None:
+        timing = timing or MasterTiming()
+        # canopen warns at each SDO time-out, twice a second while a node is away; the transition is logged here.
+        logging.getLogger("canopen.sdo.client").setLevel(logging.CRITICAL)
+        self._threads = ThreadPoolExecutor(max(1, min(len(plans), MAX_SDO_THREADS)), "sdo")
+        self._network = SdoNetwork(bus)
+        self._nodes = [
+            NodeSupervisor(
+                plan,
+                SdoPort(plan.node_id, self._network, self._threads, timing),
+                bus,
+                on_node=on_node,
+                accept=accept,
+                timing=timing,
+            )
+            for plan in plans
+        ]
+        self._routes: Mapping[int, Callable[[bytes], None]] = {
+            cob_id: handler for node in self._nodes for cob_id, handler in node.routes().items()
+        }
+        self._tasks = asyncio.TaskGroup()
+        self._lives: list[asyncio.Task[None]] = []
+
+    async def __aenter__(self) -> Self:
+        await self._tasks.__aenter__()
+        self._lives = [self._tasks.create_task(node.live()) for node in self._nodes]
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._network.closed = True
+        for node, life in zip(self._nodes, self._lives, strict=True):
+            node.interrupt_sdo()
+            life.cancel()
+        try:
+            # The group needs to see its own cancellation of the body; the body's errors stay the body's.
+            if isinstance(error, asyncio.CancelledError):
+                await self._tasks.__aexit__(kind, error, trace)
+            else:
+                await self._tasks.__aexit__(None, None, None)
+        finally:
+            self._threads.shutdown(wait=True, cancel_futures=True)
+
+    def notify(self, can_id: int, data: bytes) -> None:
+        """One frame that is not process data; frames of no known node are passed over."""
+        handler = self._routes.get(can_id)
+        if handler is not None:
+            handler(data)
+
+    def on_bus_state(self, up: bool, reason: str) -> None:
+        """The bus came up or went down: every node on it is lost with it."""
+        for node in self._nodes:
+            node.on_bus_state(up, reason)

@@ -1,0 +1,111 @@
+"""SDO transfers to one node, by the canopen library's client: the only place where that library is met."""
+
+import asyncio
+import queue
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Protocol, TypeVar, cast
+
+import canopen
+from canopen.sdo.client import SdoClient
+from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
+
+from trueangle.core.node_setup import Address, SdoWrite, shown
+from trueangle.errors import LinkError, NodeFault
+
+SDO_REPLY_BASE, SDO_REQUEST_BASE = 0x580, 0x600
+ABSENT_CODES = frozenset({0x06010000, 0x06010001, 0x06020000, 0x06090011, 0x060A0023, 0x08000024})
+"""SDO abort codes by which a unit says that it has no such object, or nothing in it (CiA 301, 7.2.4.3.17)."""
+_INTERRUPTION = bytes((0x80, 0, 0, 0, 0, 0, 0, 0))
+"""An SDO abort with code 0, which no node sends."""
+
+T = TypeVar("T")
+
+
+class FrameSender(Protocol):
+    """What the master needs of a bus: to send from any thread, LinkError where it cannot."""
+
+    def send(self, can_id: int, data: bytes) -> None: ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MasterTiming:
+    """How patient the master is."""
+
+    sdo_timeout_s: float = 0.5
+    sdo_attempts: int = 3
+    heartbeat_periods: int = 3
+    """So many heartbeats may fail to come before a node is lost."""
+    backoff_first_s: float = 0.2
+    backoff_limit_s: float = 2.0
+    stable_s: float = 10.0
+    """A node that was in service so long starts again with the shortest pause."""
+
+
+class SdoNetwork(canopen.Network):
+    """The way out for canopen's SDO clients; nothing comes in by it and no thread is started."""
+
+    def __init__(self, bus: FrameSender) -> None:
+        super().__init__()
+        self._sender = bus
+        self.closed = False
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        """Send one frame, called in worker threads; LinkError where the bus is down or the master closes."""
+        if self.closed:
+            raise LinkError("the CANopen master is closing")
+        self._sender.send(can_id, bytes(data))
+
+
+class SdoPort:
+    """SDO transfers to one node: canopen's blocking client in a worker thread, one transfer at a time."""
+
+    def __init__(
+        self, node_id: int, network: "SdoNetwork", threads: ThreadPoolExecutor, timing: MasterTiming
+    ) -> None:
+        self._threads = threads
+        client = SdoClient(SDO_REQUEST_BASE + node_id, SDO_REPLY_BASE + node_id, canopen.ObjectDictionary())
+        client.network = network
+        client.RESPONSE_TIMEOUT = timing.sdo_timeout_s
+        # canopen counts the first attempt as a retry
+        client.MAX_RETRIES = timing.sdo_attempts  # pyright: ignore[reportAttributeAccessIssue]
+        self._client = client
+
+    def on_reply(self, data: bytes) -> None:
+        """A frame on the node's SDO reply COB-ID; anything but 8 bytes is no SDO (CiA 301, 7.2.4.3)."""
+        if len(data) == 8:
+            self._answer(data)
+
+    def interrupt(self) -> None:
+        """Fail the transfer in progress; the client empties its queue before the next one."""
+        self._answer(_INTERRUPTION)
+
+    def _answer(self, data: bytes) -> None:
+        answers = cast("queue.Queue[bytes]", self._client.responses)  # pyright: ignore[reportUnknownMemberType]
+        answers.put(data)
+
+    async def read(self, address: Address) -> int | None:
+        """Upload an unsigned value; None where the node says that it has no such object."""
+        try:
+            data = await self._call(self._client.upload, *address)
+        except SdoAbortedError as abort:
+            if abort.code in ABSENT_CODES:
+                return None
+            raise NodeFault(f"the node does not tell {shown(address)}: {abort}") from abort
+        except SdoCommunicationError as error:
+            raise LinkError(f"SDO read of {shown(address)}: {error}") from error
+        return int.from_bytes(data, "little")
+
+    async def write(self, write: SdoWrite) -> None:
+        """Download one value."""
+        data = write.value.to_bytes(write.size, "little")
+        try:
+            await self._call(self._client.download, *write.address, data)
+        except SdoAbortedError as abort:
+            raise NodeFault(f"the node refuses {write}: {abort}") from abort
+        except SdoCommunicationError as error:
+            raise LinkError(f"SDO write of {write}: {error}") from error
+
+    async def _call(self, transfer: Callable[..., T], *arguments: object) -> T:
+        return await asyncio.get_running_loop().run_in_executor(self._threads, transfer, *arguments)
