@@ -28,8 +28,6 @@ from trueangle.core.correction import ModelAnswer
 MAX_MODEL_BYTES = 16 * 2**20
 _EXTERNAL_DATA = b"\x0a\x08location\x12"
 """How a tensor names a file beside the model (onnx.proto, TensorProto.external_data, key "location")."""
-_RUNTIME_ERRORS: tuple[type[Exception], ...] = (RuntimeError, ValueError, TypeError, KeyError, IndexError)
-"""What ONNX Runtime raises: its own exceptions all derive from these."""
 
 
 class OnnxModel:
@@ -46,7 +44,7 @@ class OnnxModel:
         feed = {ANGLE_INPUT: angle_deg, TEMPERATURE_INPUT: temperature_c}
         try:
             answers = cast("list[NDArray[np.float64]]", self._session.run(self._outputs, feed))
-        except _RUNTIME_ERRORS:
+        except Exception:  # ONNX Runtime's own exceptions derive from Exception alone
             return ModelAnswer(correction_arcsec=np.full(angle_deg.shape, np.nan), uncertainty_arcsec=None)
         return ModelAnswer(
             correction_arcsec=answers[0], uncertainty_arcsec=answers[1] if len(answers) > 1 else None
