@@ -34,3 +34,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def missing_libraries(names: Sequence[str]) -> list[str]:
     """Those of the top-level packages that cannot be found; none of them is imported."""
     return [name for name in names if importlib.util.find_spec(name) is None]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

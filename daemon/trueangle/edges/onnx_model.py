@@ -44,7 +44,7 @@ class OnnxModel:
         feed = {ANGLE_INPUT: angle_deg, TEMPERATURE_INPUT: temperature_c}
         try:
             answers = cast("list[NDArray[np.float64]]", self._session.run(self._outputs, feed))
-        except Exception:  # ONNX Runtime's own exceptions derive from Exception alone
+        except Exception:  # noqa: BLE001 - ONNX Runtime's own exceptions derive from Exception alone
             return ModelAnswer(correction_arcsec=np.full(angle_deg.shape, np.nan), uncertainty_arcsec=None)
         return ModelAnswer(
             correction_arcsec=answers[0], uncertainty_arcsec=answers[1] if len(answers) > 1 else None
