@@ -55,7 +55,7 @@ def _parser() -> argparse.ArgumentParser:
 
     registers = commands.add_parser("registers", help="print the table of Modbus registers")
     registers.add_argument(
-        "--config", type=Path, metavar="FILE", help="the slots of this configuration (else slot 1)"
+        "--config", type=Path, metavar="FILE", help="the slots of this configuration (else the first six)"
     )
     registers.add_argument("--format", choices=list(_RENDERERS), default="text")
     registers.set_defaults(command=_registers)
@@ -124,7 +124,7 @@ def _model_line(metadata: ModelMetadata) -> str:
 
 
 def _registers(options: argparse.Namespace) -> int:
-    slots = [1]
+    slots = list(range(1, 7))
     if options.config is not None:
         slots = sorted(joint.slot for joint in load_config(options.config).joints)
     _say(_RENDERERS[options.format](slots))

@@ -4,7 +4,7 @@ import contextlib
 import os
 import subprocess
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -86,15 +86,23 @@ class Child:
         return self._process.wait()
 
 
-def run_all(children: Sequence[tuple[str, Sequence[str], Path]], *, at_once: int) -> None:
-    """Run commands to their ends, some at a time; ChildError on the first that fails, the others are ended."""
+def run_all(
+    children: Sequence[tuple[str, Sequence[str], Path]], *, at_once: int, on_done: Callable[[int], None]
+) -> None:
+    """Run commands to their ends, some at a time; `on_done` gets the number finished.
+
+    ChildError on the first that fails; the others are ended.
+    """
     waiting = list(children)
     running: list[Child] = []
     try:
         while waiting or running:
             while waiting and len(running) < at_once:
                 running.append(Child(*waiting.pop(0)))
-            running = [child for child in running if not child.finished()]
+            still = [child for child in running if not child.finished()]
+            if len(still) < len(running):
+                running = still
+                on_done(len(children) - len(waiting) - len(running))
             time.sleep(0.02)
     finally:
         for child in running:

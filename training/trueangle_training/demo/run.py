@@ -131,12 +131,17 @@ def _make_models(out: Path, joints: Sequence[Joint], console: Console) -> None:
         logs = out / "logs"
         simulations.append((f"simulating {joint.name}", trueangle + simulate, logs / f"simulate-{number}.log"))
         trainings.append((f"training {joint.name}", trueangle + train, logs / f"train-{number}.log"))
-    with console.status("simulating six calibration campaigns of 483 readings"):
-        run_all(simulations, at_once=2)
-    console.print(f"six calibration campaigns of 483 readings: {out}/joint-*.csv")
-    with console.status("training six FE-GABPNN models"):
-        run_all(trainings, at_once=2)
-    console.print(f"six FE-GABPNN models: {out}/joint-*.onnx")
+    for title, commands in (
+        (f"six calibration campaigns of 483 readings: {out}/joint-*.csv", simulations),
+        (f"six FE-GABPNN models: {out}/joint-*.onnx", trainings),
+    ):
+        with console.status(f"{title}, 0 of {JOINTS}") as status:
+            run_all(
+                commands,
+                at_once=2,
+                on_done=lambda done, title=title, status=status: status.update(f"{title}, {done} of {JOINTS}"),
+            )
+        console.print(title)
 
 
 def _script(name: str) -> str:

@@ -26,6 +26,7 @@ from trueangle_training.simulator.encoder_dictionary import (
     Address,
     encoder_dictionary,
 )
+from trueangle_training.simulator.trajectory import NodeSample
 
 NMT_COB_ID, SYNC_COB_ID, SDO_REQUEST_BASE, HEARTBEAT_BASE = 0x000, 0x080, 0x600, 0x700
 SDO_REPLY_BASE = 0x580
@@ -36,16 +37,6 @@ ABORT_COMMAND = struct.pack("<B3xI", 0x80, 0x05040001)
 """Client command specifier not valid or unknown."""
 NMT_STATE_NAMES = {0x01: "OPERATIONAL", 0x02: "STOPPED", 0x80: "PRE-OPERATIONAL"}
 NMT_RESETS = (0x81, 0x82)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NodeSample:
-    """What the encoder measures at one SYNC."""
-
-    counts: int
-    """Position value in measuring units, in [0, 2^32)."""
-    temperature_centi_c: int
-    """In 0.01 degC, in [-32768, 32767]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -59,7 +59,7 @@ class NodeSample:
     """What the joint's node puts on the bus."""
 
     counts: int
-    """0 .. counts_per_rev - 1"""
+    """Position value in measuring units, 0 .. counts_per_rev - 1."""
     temperature_centi_c: int
     """As the temperature sensor shows it, in 0.01 degC."""
 
