@@ -1,0 +1,1 @@
+"""Measurements of time: run by `make bench`, never asserted by a test."""
