@@ -30,7 +30,9 @@ def test_the_contract_is_numpy_and_the_standard_library() -> None:
 
 
 def test_the_core_needs_no_library_no_loop_and_no_socket() -> None:
-    modules = "bus, correction, frames, health, modbus_answer, node_setup, pipeline, register_table, registers, sample"
+    modules = (
+        "bus, correction, frames, health, modbus_answer, node_setup, pipeline, register_table, registers, sample"
+    )
     assert imported(f"from trueangle.core import {modules}", PURE) == []
 
 
