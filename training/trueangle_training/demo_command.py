@@ -21,7 +21,7 @@ def register(subparsers: "Subparsers") -> None:
         allow_abbrev=False,
         help="the whole path on this machine, judged against the truth",
         description="Simulates the calibration campaigns of six joints, trains a model for each, starts six "
-        "CANopen encoder nodes and trueangled as processes of their own, reads the Modbus registers as a PLC does, "
+        "CANopen encoder nodes and trueangled as processes of their own, reads the Modbus registers as a PLC, "
         "and compares raw and corrected angles with the true ones. Loopback only; it ends all that it starts.",
     )
     parser.add_argument("--out", type=Path, default=Path("build/demo"), metavar="DIR", help="files, logs, summary")
