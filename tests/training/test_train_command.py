@@ -164,7 +164,7 @@ def test_the_report_labels_each_figure(campaign_csv: Path, tmp_path: Path, capsy
     assert "zeroed one by one (Eq. 11) cannot show it" in captured.out
     assert hashlib.sha256(out.read_bytes()).hexdigest() in captured.out
     # Not a terminal: one plain line a stage, no bar.
-    assert captured.err == "training fe_gabpnn on 483 readings\n"
+    assert captured.err == "training fe-gabpnn on 483 readings\n"
     metadata = metadata_of(out)
     assert metadata.joint == "shoulder"
     assert metadata.encoder.counts_per_rev == 3276800
