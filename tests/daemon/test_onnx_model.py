@@ -5,6 +5,9 @@ daemon reads them without it.
 """
 
 import hashlib
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -89,3 +92,16 @@ def test_a_run_that_fails_gives_nan_and_no_exception() -> None:
     model = load_model(DATA / "good.onnx")
     answer = model.correct(np.zeros(3), np.zeros(2))
     assert np.isnan(answer.correction_arcsec).all()
+
+
+def test_the_runtime_s_telemetry_is_off_before_it_is_imported() -> None:
+    code = (
+        "import os, sys, pathlib; import trueangle.edges.onnx_model as m; assert 'onnxruntime' not in sys.modules;"
+        f"m.load_model(pathlib.Path({str(DATA / 'good.onnx')!r})); print(os.environ['ORT_DISABLE_TELEMETRY'])"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != "ORT_DISABLE_TELEMETRY"}
+    environment["PYTHONPATH"] = os.pathsep.join(sys.path)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True
+    )
+    assert done.stdout.strip() == "1"

@@ -5,11 +5,11 @@ first angle is served. Nothing of a graph is ever edited here.
 """
 
 import hashlib
+import os
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import onnxruntime  # pyright: ignore[reportMissingTypeStubs]
 from numpy.typing import NDArray
 
 from trueangle.contract.errors import ContractError, Fault
@@ -88,9 +88,12 @@ def _read(path: Path) -> bytes:
 
 
 def _session(data: bytes, where: str) -> Any:
-    # Typed Any: ONNX Runtime ships no type information.
-    runtime = cast("Any", onnxruntime)
-    runtime.disable_telemetry_events()
+    # ONNX Runtime starts its telemetry, a network client, when it is imported: it must be told before. That is why
+    # it is imported here and not above; commands that need no model then also start without it.
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
+    import onnxruntime  # pyright: ignore[reportMissingTypeStubs]
+
+    runtime = cast("Any", onnxruntime)  # it ships no type information
     options = runtime.SessionOptions()
     # One sample a pass: threads would cost more than the whole graph. Fatal only: refusals are our own messages.
     options.intra_op_num_threads = 1
