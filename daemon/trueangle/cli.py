@@ -100,8 +100,11 @@ def _check_model(options: argparse.Namespace) -> int:
     _say(f"  joint        {metadata.joint}")
     _say(f"  model        {_model_line(metadata)}")
     encoder = metadata.encoder
-    _say(f"  encoder      {encoder.counts_per_rev} counts, {encoder.lines_per_rev} lines per revolution")
-    for name, value in encoder.settings.known().items():
+    if encoder is None:
+        _say("  encoder      not stated: the daemon cannot tell it from another's")
+    else:
+        _say(f"  encoder      {encoder.counts_per_rev} counts, {encoder.lines_per_rev} lines per revolution")
+    for name, value in metadata.encoder_settings.known().items():
         _say(f"               {name} {value}")
     calibration = metadata.calibration
     due = calibration.due or "no due date"

@@ -79,11 +79,11 @@ def _model_against_config(model: OnnxModel, joint: JointConfig, where: str) -> l
     """Model and configuration must mean the same encoder."""
     encoder = model.metadata.encoder
     faults: list[Fault] = []
-    if encoder.counts_per_rev != joint.encoder.counts_per_rev:
+    if encoder is not None and encoder.counts_per_rev != joint.encoder.counts_per_rev:
         expected = f"counts_per_rev {encoder.counts_per_rev} as at the calibration of {joint.model}"
         faults.append(Fault(where=where, expected=expected, found=str(joint.encoder.counts_per_rev)))
     configured = joint.encoder.settings.known()
-    for name, value in encoder.settings.known().items():
+    for name, value in model.metadata.encoder_settings.known().items():
         if name in configured and configured[name] != value:
             expected = f"{name} {value} as at the calibration of {joint.model}"
             faults.append(Fault(where=where, expected=expected, found=str(configured[name])))
@@ -98,7 +98,7 @@ def encoder_differences(joint: LoadedJoint, found: EncoderSettings) -> list[str]
         expected = joint.config.encoder.counts_per_rev
         shown = "not readable" if counts_per_rev is None else str(counts_per_rev)
         differences.append(f"counts per revolution expected {expected} found {shown}")
-    for expected in (joint.config.encoder.settings, joint.model.metadata.encoder.settings):
+    for expected in (joint.config.encoder.settings, joint.model.metadata.encoder_settings):
         differences += [text for text in found.differences_from(expected) if text not in differences]
     return differences
 
@@ -163,7 +163,7 @@ def joint_channel(joint: LoadedJoint) -> JointChannel:
 def joint_identity(joint: LoadedJoint) -> JointIdentity:
     """What the registers say of joint, model and encoder."""
     calibration = joint.model.metadata.calibration
-    settings = joint.model.metadata.encoder.settings
+    settings = joint.model.metadata.encoder_settings
     return JointIdentity(
         slot=joint.config.slot,
         node_id=joint.config.node_id,
@@ -225,6 +225,11 @@ class Service:
             async with AsyncExitStack() as stack:
                 await self._server.start()
                 stack.push_async_callback(self._server.close)
+                for joint in self._joints.values():
+                    if joint.model.metadata.encoder is None:
+                        _log.warning(
+                            "event=model_not_bound joint=%r model=%s", joint.config.name, joint.config.model
+                        )
                 await self._open_buses(stack)
                 stack.callback(self._notifier.stopping)
                 await self._tick_until_stopped()

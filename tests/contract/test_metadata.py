@@ -79,6 +79,15 @@ def test_dataclasses_and_schema_both_refuse(path: tuple[Any, ...], value: Any, f
         jsonschema.validate(document, metadata_schema())
 
 
+def test_a_model_that_names_no_encoder_is_legal_and_says_so() -> None:
+    document = {key: value for key, value in DOCUMENT.items() if key != "encoder"}
+    metadata = metadata_from_json(json.dumps(document), source="m")
+    jsonschema.validate(document, metadata_schema())
+    assert metadata.encoder is None
+    assert metadata.encoder_settings.known() == {}
+    assert json.loads(metadata_to_json(metadata)) == document
+
+
 def test_every_required_key_is_required_by_both() -> None:
     for key in metadata_schema()["required"]:
         document = {k: v for k, v in DOCUMENT.items() if k != key}

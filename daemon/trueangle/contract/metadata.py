@@ -140,7 +140,6 @@ class ModelMetadata:
     temperature_used: bool
     datum_deg: Annotated[float, Range(minimum=0, maximum=DEG_PER_TURN)]
     """Where the correction is 0 at every temperature."""
-    encoder: JointEncoder
     calibration: CalibrationRecord
     reference: ReferenceRecord
     errors: FitErrors
@@ -148,6 +147,8 @@ class ModelMetadata:
     versions: Mapping[str, str]
     """Package name to version of what trained the model."""
     probes: Probes
+    encoder: JointEncoder | None = None
+    """The encoder of the calibration; None: not stated, so nobody can tell it from another's."""
     probe_tolerance_arcsec: Annotated[float, Range(minimum=0, maximum=0.001)] = PROBE_TOLERANCE_ARCSEC
     notes: tuple[str, ...] = field(default=())
 
@@ -174,8 +175,8 @@ class ModelMetadata:
 
     @property
     def encoder_settings(self) -> EncoderSettings:
-        """The encoder as it was at calibration; the units per revolution are always known."""
-        return self.encoder.settings
+        """The encoder as it was at calibration, as far as it was stated."""
+        return EncoderSettings() if self.encoder is None else self.encoder.settings
 
 
 def metadata_to_json(metadata: ModelMetadata) -> str:
