@@ -231,6 +231,8 @@ class Service:
                             "event=model_not_bound joint=%r model=%s", joint.config.name, joint.config.model
                         )
                 await self._open_buses(stack)
+                # Once more, to come before the buses: while they close, the last image would pass for fresh.
+                stack.push_async_callback(self._server.close)
                 stack.callback(self._notifier.stopping)
                 await self._tick_until_stopped()
         finally:

@@ -13,28 +13,36 @@ class ServiceNotifier:
 
     def __init__(self, environment: Mapping[str, str]) -> None:
         self._address = environment.get("NOTIFY_SOCKET", "")
+        self._ready_unheard = False
         self._socket: socket.socket | None = None
         if self._address:
-            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
+            # Not blocking: a manager that does not read (its queue may hold ten) must not freeze the registers.
+            kind = socket.SOCK_DGRAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK
+            self._socket = socket.socket(socket.AF_UNIX, kind)
             # An abstract socket is written with a leading @ for its leading NUL.
             if self._address.startswith("@"):
                 self._address = "\0" + self._address[1:]
         self.watchdog_interval_s = _watchdog_interval_s(environment)
 
-    def _send(self, text: str) -> None:
+    def _send(self, text: str) -> bool:
+        """False where the manager did not take it."""
         if self._socket is not None:
             try:
                 self._socket.sendto(text.encode(), self._address)
             except OSError:
-                return  # systemd is restarting or gone: the watchdog then decides, nobody else can be told
+                return False  # restarting, gone or behind: the watchdog then decides, nobody else can be told
+        return True
 
     def ready(self, status: str) -> None:
         """The service serves every joint or has said why not."""
-        self._send(f"READY=1\nSTATUS={status}")
+        self._ready_unheard = not self._send(f"READY=1\nSTATUS={status}")
 
     def status(self, status: str) -> None:
-        """One line for `systemctl status`."""
-        self._send(f"STATUS={status}")
+        """One line for `systemctl status`; with a READY that was not taken, said again."""
+        if self._ready_unheard:
+            self.ready(status)
+        else:
+            self._send(f"STATUS={status}")
 
     def alive(self) -> None:
         """Feed the watchdog."""
