@@ -33,6 +33,8 @@ from trueangle.edges.systemd import ServiceNotifier
 
 TICK_S = 0.01
 """Ages in the registers are renewed at least this often, and a joint gone stale is marked within it."""
+IMAGE_AGE_S = 0.5
+"""An image older than this is served no more: a pipeline that stands still must not leave its last angle valid."""
 SETTLE_S = 1.0
 """A node in service for so long without a valid angle has had its chance: the service is ready without it."""
 STATUS_TEXT_S = 1.0
@@ -193,6 +195,7 @@ class Service:
                 connections=modbus.max_connections,
                 connections_per_address=modbus.max_connections_per_address,
                 idle_timeout_s=modbus.idle_timeout_s,
+                image_age_s=IMAGE_AGE_S,
             ),
         )
         self._pipeline = Pipeline(
@@ -202,6 +205,8 @@ class Service:
             on_status=self._on_status,
         )
         self._masters: dict[str, CanMaster] = {}
+        self._buses: dict[str, CanBus] = {}
+        self._dropped = dict.fromkeys((bus.name for bus in config.buses), 0)
         self._process_data = {bus.name: self._pipeline.process_data(bus.name) for bus in config.buses}
         self._node_state = dict.fromkeys(self._joints, NodeState.UNKNOWN)
         self._node_since_ns = dict.fromkeys(self._joints, 0)
@@ -251,6 +256,7 @@ class Service:
             )
             plans = [node_plan(j.config) for j in self._joints.values() if j.config.bus == name]
             master = CanMaster(bus, plans, on_node=self._on_node, accept=self._accept)
+            self._buses[name] = bus
             self._masters[name] = await stack.enter_async_context(master)
             await stack.enter_async_context(bus)
 
@@ -267,6 +273,11 @@ class Service:
 
     def _on_frames(self, bus: str, frames: list[Frame]) -> None:
         process_data, master = self._process_data[bus], self._masters[bus]
+        dropped = self._buses[bus].counters.frames_dropped
+        if dropped > self._dropped[bus]:
+            # Among them may have been the boot-up message of a node that now sends another mapping.
+            master.distrust(f"{dropped - self._dropped[bus]} frames of the bus were dropped")
+            self._dropped[bus] = dropped
         for cob_id, data, _ in frames:
             if cob_id not in process_data:
                 master.notify(cob_id, data)

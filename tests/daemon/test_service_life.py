@@ -259,6 +259,23 @@ def test_the_watchdog_is_fed_only_after_ready_and_while_images_are_published(
     asyncio.run(scenario())
 
 
+def test_an_image_of_a_pipeline_that_stands_still_is_soon_served_no_more(
+    serve: Serve, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without systemd nobody would end such a process: its last angle must not stay valid for ever."""
+
+    async def scenario() -> None:
+        async with serve(ONE, node()) as r:
+            await r.until_status(1, StatusBit.VALID)
+            monkeypatch.setattr(Pipeline, "_serve", lambda _self, _now_ns: None)
+            async with asyncio.timeout(LIMIT_S):
+                while (answer := await r.plc.ask(read_request(4, 10, 12)))[7] == 4:
+                    pass
+            assert answer[7:] == b"\x84\x06"  # server device busy
+
+    asyncio.run(scenario())
+
+
 def test_a_pipeline_that_raises_ends_the_service_and_the_feeding(
     serve: Serve, manager: Manager, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,6 +8,7 @@ The image is swapped by reference: an answer is made of one image, whole.
 
 import asyncio
 import logging
+import time
 from dataclasses import dataclass
 from typing import cast
 
@@ -32,6 +33,9 @@ class ModbusLimits:
     unsent_bytes: int = 64 * 1024
     """Above, nothing more is read from the connection until the client has taken its answers. One read of 260
     bytes is answered with at most 5.4 KiB, so this and one answer are the most that a client can make wait."""
+
+    image_age_s: float | None = None
+    """An image published longer ago is answered with exception 06 (server device busy); None: served for ever."""
 
     def __post_init__(self) -> None:
         for name in ("connections", "connections_per_address", "idle_timeout_s", "unsent_bytes"):
@@ -68,8 +72,8 @@ class ModbusTcpServer:
         self.unit_id = unit_id
         self.limits = limits or ModbusLimits()
         self.counters = ModbusCounters()
-        self.image: RegisterSource | None = None
-        """What is answered from; None before the first publication."""
+        self._image: RegisterSource | None = None
+        self._published_s = 0.0
         self._endpoint: asyncio.Server | None = None
         self._open: set[_Connection] = set()
         self._all_closed = asyncio.Event()
@@ -82,7 +86,15 @@ class ModbusTcpServer:
 
     def publish(self, image: RegisterSource) -> None:
         """Answer from this image from now on."""
-        self.image = image
+        self._image = image
+        self._published_s = time.monotonic()
+
+    def image(self) -> RegisterSource | None:
+        """What is answered from; None before the first publication and when the last one is too old."""
+        limit_s = self.limits.image_age_s
+        if limit_s is not None and time.monotonic() - self._published_s > limit_s:
+            return None
+        return self._image
 
     async def start(self) -> int:
         """Listen; returns the bound port. Raises LinkError when the address cannot be had."""
@@ -218,7 +230,7 @@ class _Connection(asyncio.BufferedProtocol):
         if transport is None or transport.is_closing():
             return
         requests, exceptions = stream.requests, stream.exceptions
-        answers = stream.answer(nbytes, self._server.image)
+        answers = stream.answer(nbytes, self._server.image())
         if answers:
             counters = self._server.counters
             counters.requests += stream.requests - requests

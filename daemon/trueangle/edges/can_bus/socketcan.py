@@ -121,10 +121,14 @@ class SocketcanLink:
 
     def _drain(self) -> None:
         self._drain_timer = None
-        self.hand_over()
-        if self._socket is not None and not self._lost.done():
-            self._count_kernel_drops(self._socket)
-            self._loop.add_reader(self._socket.fileno(), self._wake)
+        try:
+            if self._socket is not None:
+                # First: whoever gets the batch must know that frames before it are missing.
+                self._count_kernel_drops(self._socket)
+            self.hand_over()
+        finally:
+            if self._socket is not None and not self._lost.done():
+                self._loop.add_reader(self._socket.fileno(), self._wake)
 
     def _count_kernel_drops(self, raw: socket.socket) -> None:
         with contextlib.suppress(OSError, struct.error):  # kernels before 4.12 do not tell

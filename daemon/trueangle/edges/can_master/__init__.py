@@ -92,3 +92,8 @@ class CanMaster:
         """The bus came up or went down: every node on it is lost with it."""
         for node in self._nodes:
             node.on_bus_state(up, reason)
+
+    def distrust(self, reason: str) -> None:
+        """Frames of this bus were missed, perhaps a boot-up message: every node is identified again."""
+        for node in self._nodes:
+            node.distrust(reason)

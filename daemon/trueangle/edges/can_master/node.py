@@ -91,6 +91,11 @@ class NodeSupervisor:
             self._bus_up.clear()
             self._disturb(LinkError(f"bus down: {reason}"))
 
+    def distrust(self, reason: str) -> None:
+        """Something the node said may have been missed: take it out of service and identify it again."""
+        self._retry_now.set()
+        self._disturb(LinkError(reason))
+
     def interrupt_sdo(self) -> None:
         """End the transfer that a worker thread waits for."""
         self._sdo.interrupt()
