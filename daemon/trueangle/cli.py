@@ -32,6 +32,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for fault in error.faults:
             print(f"trueangled: {fault}", file=sys.stderr)
         return 2
+    except BrokenPipeError:
+        # Whoever read our output has gone, as `head` does; the interpreter must not try to write the rest.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     except TrueangleError as error:
         print(f"trueangled: {error}", file=sys.stderr)
         return 1

@@ -17,7 +17,8 @@ from trueangle.contract.metadata import Hash
 
 SCHEMA_VERSION = 1
 MAX_SLOT = 32
-MAX_CONFIG_BYTES = 1_000_000
+MAX_CONFIG_BYTES = 200_000
+"""32 joints with every key take 30 kB; parsing more would only take time."""
 
 Name = Annotated[str, Pattern(regex=r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,31}", meaning="1 to 32 letters, digits, . _ -")]
 Index = Annotated[int, Range(minimum=0x1000, maximum=0xFFFF)]
@@ -75,6 +76,9 @@ class TemperatureConfig:
 
     def __post_init__(self) -> None:
         _check_bits(self.bits)
+        if 0x6000 <= self.index <= 0x65FF:
+            found = f"0x{self.index:04X}, an object of the encoder profile CiA 406"
+            raise ContractError([Fault(where="index", expected="the object of a temperature", found=found)])
         if self.maximum_c <= self.minimum_c:
             expected = f"more than minimum_c ({self.minimum_c:g})"
             raise ContractError([Fault(where="maximum_c", expected=expected, found=f"{self.maximum_c:g}")])
@@ -147,11 +151,19 @@ class DaemonConfig:
         faults += _repeated("joints", "slot", slots, "registers of its own")
         nodes = [f"node {j.node_id} on bus {j.bus}" for j in self.joints]
         faults += _repeated("joints", "node_id", nodes, "a node of its own")
+        ways = [f"{bus.interface} {bus.channel} {dict(bus.options)}" for bus in self.buses]
+        faults += _repeated("buses", "channel", ways, "a bus of its own")
         names = {bus.name for bus in self.buses}
+        periods = {bus.name: bus.sync_period_ms for bus in self.buses}
         for i, joint in enumerate(self.joints):
             if joint.bus not in names:
                 expected = f"one of the buses: {', '.join(sorted(names))}"
                 faults.append(Fault(where=f"joints[{i}].bus", expected=expected, found=joint.bus))
+            period_ms = periods.get(joint.bus)
+            if period_ms is not None and joint.stale_ms <= period_ms:
+                expected = f"more than the sync_period_ms of its bus ({period_ms:g})"
+                where = f"joints[{i}].stale_ms"
+                faults.append(Fault(where=where, expected=expected, found=f"{joint.stale_ms:g}"))
         if faults:
             raise ContractError(faults)
 

@@ -5,6 +5,7 @@ It stands in the daemon's package because it must also work where the laboratory
 
 import importlib
 import importlib.util
+import os
 import sys
 from collections.abc import Callable, Sequence
 from typing import cast
@@ -24,6 +25,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             "install it with: pip install 'trueangle[training]'\n"
         )
         return EXIT_NOT_INSTALLED
+    # One thread a process: on a busy machine OpenBLAS' threads wait for each other, which cost a factor of 30 in
+    # small problems; and sums would depend on the number of cores. Read by the libraries when they are imported.
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
     # By name: no module of the daemon may import the laboratory, and an import statement would draw torch into
     # whatever packages, scans or type checks the controller's install.
     laboratory = importlib.import_module(LABORATORY)

@@ -33,8 +33,9 @@ from trueangle.edges.systemd import ServiceNotifier
 
 TICK_S = 0.01
 """Ages in the registers are renewed at least this often, and a joint gone stale is marked within it."""
-IMAGE_AGE_S = 0.5
-"""An image older than this is served no more: a pipeline that stands still must not leave its last angle valid."""
+IMAGE_AGE_S = 3 * TICK_S
+"""No image older than this is served: after a stall the joints are judged anew before the first answer, and a
+pipeline that stands still does not leave its last angle valid."""
 SETTLE_S = 1.0
 """A node in service for so long without a valid angle has had its chance: the service is ready without it."""
 STATUS_TEXT_S = 1.0
@@ -72,9 +73,23 @@ def load_joints(config: DaemonConfig, *, base: Path, source: str) -> tuple[Loade
             continue
         faults += _model_against_config(model, joint, f"{source}, joints[{i}]")
         loaded.append(LoadedJoint(config=joint, model=model))
+    faults += _models_used_twice(loaded, source)
     if faults:
         raise ContractError(faults)
     return tuple(loaded)
+
+
+def _models_used_twice(loaded: list[LoadedJoint], source: str) -> list[Fault]:
+    """A model belongs to one encoder on one shaft: on a second joint it is the wrong one."""
+    faults: list[Fault] = []
+    first: dict[str, str] = {}
+    for joint in loaded:
+        name = joint.config.name
+        if joint.model.sha256 in first:
+            found = f"{joint.config.model} is also that of {first[joint.model.sha256]}"
+            faults.append(Fault(where=f"{source}, joint {name}", expected="a model of its own", found=found))
+        first.setdefault(joint.model.sha256, name)
+    return faults
 
 
 def _model_against_config(model: OnnxModel, joint: JointConfig, where: str) -> list[Fault]:
@@ -100,6 +115,10 @@ def encoder_differences(joint: LoadedJoint, found: EncoderSettings) -> list[str]
         expected = joint.config.encoder.counts_per_rev
         shown = "not readable" if counts_per_rev is None else str(counts_per_rev)
         differences.append(f"counts per revolution expected {expected} found {shown}")
+    range_units = found.total_range_units
+    if range_units is not None and (range_units or 2**32) % joint.config.encoder.counts_per_rev:
+        # The position would wrap in the middle of a turn and show another angle from then on.
+        differences.append(f"total_range_units {range_units} is no whole number of turns")
     for expected in (joint.config.encoder.settings, joint.model.metadata.encoder_settings):
         differences += [text for text in found.differences_from(expected) if text not in differences]
     return differences
@@ -197,6 +216,7 @@ class Service:
                 idle_timeout_s=modbus.idle_timeout_s,
                 image_age_s=IMAGE_AGE_S,
             ),
+            refresh=lambda: self._pipeline.tick(time.monotonic_ns()),
         )
         self._pipeline = Pipeline(
             [joint_channel(joint) for joint in joints],
@@ -226,12 +246,14 @@ class Service:
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(number, self.stop)
+        # The default would end the process at once, in the middle of whatever it does.
+        loop.add_signal_handler(signal.SIGHUP, _log.warning, "event=sighup_ignored reason='restart to reload'")
         try:
             async with AsyncExitStack() as stack:
                 await self._server.start()
                 stack.push_async_callback(self._server.close)
                 for joint in self._joints.values():
-                    if joint.model.metadata.encoder is None:
+                    if joint.model.metadata.encoder_settings.serial_number is None:
                         _log.warning(
                             "event=model_not_bound joint=%r model=%s", joint.config.name, joint.config.model
                         )
@@ -241,7 +263,7 @@ class Service:
                 stack.callback(self._notifier.stopping)
                 await self._tick_until_stopped()
         finally:
-            for number in (signal.SIGTERM, signal.SIGINT):
+            for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
                 loop.remove_signal_handler(number)
         _log.info("event=stopped images=%d", self._pipeline.counters.images)
 

@@ -9,7 +9,8 @@ from trueangle.config import parse_config
 from trueangle.core.health import NodeCondition
 from trueangle.core.pipeline import Pipeline
 from trueangle.core.registers import RegisterImage, RegisterMap
-from trueangle.service import joint_channel, joint_identity, load_joints
+from trueangle.edges.onnx_model import load_model
+from trueangle.service import LoadedJoint, joint_channel, joint_identity
 
 MODELS = Path(__file__).parents[1] / "data" / "models"
 ROUNDS, CYCLES = 9, 2000
@@ -29,7 +30,8 @@ def main() -> None:
     """Print medians over rounds."""
     text = "schema_version: 1\nbuses: [{name: arm, interface: virtual, channel: c}]\njoints:"
     text += "".join(JOINT.format(slot=slot) for slot in range(1, 7))
-    joints = load_joints(parse_config(text, source="bench"), base=MODELS, source="bench")
+    model = load_model(MODELS / "good.onnx")
+    joints = [LoadedJoint(config=joint, model=model) for joint in parse_config(text, source="bench").joints]
     images: list[RegisterImage] = []
     pipeline = Pipeline(
         [joint_channel(joint) for joint in joints],

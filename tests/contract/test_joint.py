@@ -8,6 +8,7 @@ from trueangle.contract.errors import ContractError
 from trueangle.contract.joint import (
     Joint,
     Plan,
+    PlanZero,
     joint_from_document,
     joint_to_plain,
     plan_from_document,
@@ -82,7 +83,7 @@ def test_the_plan_of_the_paper_is_read_and_written() -> None:
 @pytest.mark.parametrize(
     ("change", "found"),
     [
-        (("[1]", "[0]"), "directions: expected a list of 1 and -1"),
+        (("[1]", "[0]"), "directions: expected 1, -1 or both, each once"),
         (("[10, 15, 20, 25, 30, 35, 40]", "[]"), "expected at least one temperature"),
         (("faces: 23", "faces: 2"), "faces: expected a whole number, 3 to 1000, found 2"),
     ],
@@ -97,3 +98,16 @@ def test_a_plan_needs_its_keys() -> None:
     with pytest.raises(ContractError, match="expected the key repeats"):
         plan_from_document(document("{schema_version: 1, faces: 23, temperatures_c: [20]}"))
     assert Plan(schema_version=1, faces=23, temperatures_c=(20.0,), repeats=1).directions == (1,)
+
+
+def test_a_plan_may_keep_one_zero_and_survives_writing_and_reading() -> None:
+    assert plan_from_document(document(PLAN)).zero is PlanZero.PER_RUN
+    kept = plan_from_document(document(PLAN.replace("soak_h: 4", "soak_h: 4, zero: one")))
+    assert kept.zero is PlanZero.ONE
+    assert plan_from_document(document_from_plain(plan_to_plain(kept), source="back")) == kept
+
+
+def test_one_zero_and_a_turned_polygon_exclude_each_other() -> None:
+    text = PLAN.replace("shift_faces: 0", "shift_faces: 0.5").replace("soak_h: 4", "soak_h: 4, zero: one")
+    with pytest.raises(ContractError, match=r"expected 0 beside zero: one.*found 0\.5"):
+        plan_from_document(document(text))

@@ -62,7 +62,7 @@ def test_equal_models_give_equal_bytes() -> None:
         (("calibration", "date"), "22.11.2026", "YYYY-MM-DD"),
         (("probes", "angle_deg"), [], "probe lists of one length"),
         (("encoder", "counts_per_rev"), 1, "counts_per_rev: expected a whole number, 2 to"),
-        (("probe_tolerance_arcsec",), 1.0, "probe_tolerance_arcsec: expected a number, 0 to 0.001"),
+        (("probe_tolerance_arcsec",), 1.0, "probe_tolerance_arcsec: expected a number, 0 to 1e-06"),
         (("extra",), 1, "unknown key extra"),
     ],
 )

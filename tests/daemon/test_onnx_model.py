@@ -88,6 +88,25 @@ def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
     assert "expected a readable model file" in refused(tmp_path / "nowhere.onnx")
 
 
+def test_a_range_changed_afterwards_is_refused_although_graph_and_probes_agree(tmp_path: Path) -> None:
+    data = (DATA / "good.onnx").read_bytes()
+    at = data.index(b'"maximum": 40.')
+    (tmp_path / "wider.onnx").write_bytes(data[: at + 11] + b"6" + data[at + 12 :])
+    assert "expected the file's own SHA-256 under trueangle_sha256, found another" in refused(
+        tmp_path / "wider.onnx"
+    )
+
+
+def test_no_damaged_byte_is_accepted(tmp_path: Path) -> None:
+    """Bits flipped all over the file: refused with a message, whatever the runtime makes of it."""
+    data = (DATA / "good.onnx").read_bytes()
+    for at in range(0, len(data), max(1, len(data) // 150)):
+        damaged = bytearray(data)
+        damaged[at] ^= 1 << (at % 8)
+        (tmp_path / "bit.onnx").write_bytes(bytes(damaged))
+        assert "bit.onnx" in refused(tmp_path / "bit.onnx")
+
+
 def test_a_run_that_fails_gives_nan_and_no_exception() -> None:
     model = load_model(DATA / "good.onnx")
     answer = model.correct(np.zeros(3), np.zeros(2))

@@ -225,6 +225,41 @@ def test_the_age_counts_from_sync_and_not_from_arrival() -> None:
     assert bench.fast(1)["age"] == 4
 
 
+def test_frames_that_waited_on_a_stalled_link_have_the_age_of_their_own_sync() -> None:
+    """60 SYNCs were sent while a gateway slept; then its queue comes out, oldest answer first."""
+    bench = running()
+    for _ in range(60):
+        bench.pipeline.on_sync("arm", bench.now_ns)
+        bench.now_ns += 5 * MS
+    bench.feed(bench.position(1, 91.0, 2), bench.position(2, 91.0, 2))
+    assert bench.status(1) == StatusBit.CONFIGURED | StatusBit.STALE
+    assert bench.fast(1)["age"] == 300
+    assert bench.fast(1)["corrected"] == MARKER
+    # The last of the queue is fresh again.
+    bench.feed(*(bench.position(slot, 92.0, sequence) for sequence in range(3, 62) for slot in (1, 2)))
+    assert bench.fast(1)["age"] == 5
+    assert StatusBit.VALID in bench.status(1)
+
+
+def test_a_sync_that_a_node_missed_makes_its_samples_look_old_and_never_young_until_it_is_forgotten() -> None:
+    bench = running()
+    bench.pipeline.on_sync("arm", bench.now_ns)  # neither node hears it: no sample, no number
+    bench.now_ns += 5 * MS
+    bench.cycle(2)
+    assert bench.fast(1)["age"] == 6
+    for sequence in range(3, 1000):
+        bench.cycle(sequence)
+    assert bench.fast(1)["age"] == 1
+
+
+def test_a_spoofed_sequence_is_no_sixty_thousand_lost_frames() -> None:
+    bench = running()
+    bench.cycle(40_000)
+    detail = bench.images[-1].read(1000 + 38, 2)
+    assert detail is not None
+    assert struct.unpack(">I", detail)[0] == 0
+
+
 def test_a_sync_sent_by_another_node_counts_as_well() -> None:
     bench = running()
     bench.feed((0x080, b"", bench.now_ns))

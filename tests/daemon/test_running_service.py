@@ -33,7 +33,7 @@ from trueangle.core.health import StatusBit
 from trueangle.core.registers import RegisterImage
 from trueangle.edges.modbus_server import ModbusTcpServer
 
-BASE, ELBOW = joint_yaml(1, "base"), joint_yaml(2, "elbow")
+BASE, ELBOW = joint_yaml(1, "base"), joint_yaml(2, "elbow", model="twin.onnx")
 ONE, TWO = config_yaml(BASE), config_yaml(BASE, ELBOW)
 REST_COUNTS = 1_234_567
 """135.6 deg, where the model corrects by some arcseconds."""

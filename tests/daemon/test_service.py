@@ -62,6 +62,9 @@ def test_the_encoder_of_the_calibration_is_accepted() -> None:
         ({"units_per_revolution": 65_536}, "counts per revolution expected 3276800 found 65536"),
         # With scaling off the unit counts in its own resolution, whatever 0x6001 says.
         ({"operating_parameters": 0}, "counts per revolution expected 3276800 found 65536"),
+        # 27.6 million and 2^32 (told as 0) are no whole number of turns: the position would wrap within one.
+        ({"total_range_units": 27_600_000}, "total_range_units 27600000 is no whole number of turns"),
+        ({"total_range_units": 0}, "total_range_units 0 is no whole number of turns"),
         ({"serial_number": None}, "serial_number expected 4711 found not readable"),
     ],
 )
@@ -79,6 +82,15 @@ def test_model_and_configuration_must_mean_the_same_encoder() -> None:
         load_joints(parse_config(text, source="t.yaml"), base=DATA, source="t.yaml")
     assert "counts_per_rev 3276800 as at the calibration of good.onnx, found 65536" in str(caught.value)
     assert "serial_number 4711 as at the calibration of good.onnx, found 1" in str(caught.value)
+
+
+def test_one_model_on_two_joints_is_a_fault() -> None:
+    second = CONFIG[CONFIG.index("  - slot") :]
+    second = second.replace("slot: 3", "slot: 4").replace("wrist", "elbow").replace("node_id: 5", "node_id: 6")
+    with pytest.raises(
+        ContractError, match=r"joint elbow: expected a model of its own, found good.onnx is also that"
+    ):
+        load_joints(parse_config(CONFIG + second, source="t.yaml"), base=DATA, source="t.yaml")
 
 
 def test_faults_of_several_models_are_reported_together() -> None:

@@ -35,7 +35,7 @@ from trueangle.core.pipeline import Pipeline
 from trueangle.edges.systemd import ServiceNotifier
 from trueangle.errors import LinkError
 
-BASE, ELBOW = joint_yaml(1, "base"), joint_yaml(2, "elbow")
+BASE, ELBOW = joint_yaml(1, "base"), joint_yaml(2, "elbow", model="twin.onnx")
 ONE, TWO = config_yaml(BASE), config_yaml(BASE, ELBOW)
 BUS_DOWN_SERVICE = 1 << 1
 Serve = Callable[..., AbstractAsyncContextManager[Rig]]
@@ -163,7 +163,11 @@ def test_equal_nodes_on_two_buses_are_told_apart_and_one_bus_may_fail(
         device = EncoderNode(1, wire.send, counts=lambda _, name=name: angles_counts[name])
         wire.nodes.append(device)
     monkeypatch.setattr("trueangle.edges.can_bus.open_python_can", lambda s: wires[s.name].open(s))
-    second = joint_yaml(2, "knee").replace("bus: arm", "bus: leg").replace("node_id: 2", "node_id: 1")
+    second = (
+        joint_yaml(2, "knee", model="twin.onnx")
+        .replace("bus: arm", "bus: leg")
+        .replace("node_id: 2", "node_id: 1")
+    )
     config = config_yaml(BASE, second).replace(
         "buses: [", "buses: [{name: leg, interface: socketcan, channel: w2, sync_period_ms: 10}, "
     )

@@ -4,6 +4,7 @@ import os
 import shutil
 import socket
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,11 +15,12 @@ UNIT = Path(__file__).parents[2] / "systemd" / "trueangled.service"
 
 
 @pytest.fixture
-def manager(tmp_path: Path) -> socket.socket:
+def manager(tmp_path: Path) -> Iterator[socket.socket]:
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     listener.bind(str(tmp_path / "notify"))
     listener.settimeout(5)
-    return listener
+    yield listener
+    listener.close()
 
 
 def test_each_message_is_one_datagram(manager: socket.socket) -> None:
@@ -29,7 +31,6 @@ def test_each_message_is_one_datagram(manager: socket.socket) -> None:
     notifier.stopping()
     notifier.close()
     got = [manager.recv(1000).decode() for _ in range(4)]
-    manager.close()
     assert got == ["READY=1\nSTATUS=6 of 6 joints valid", "WATCHDOG=1", "STATUS=5 of 6 joints valid", "STOPPING=1"]
 
 

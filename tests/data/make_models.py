@@ -15,7 +15,7 @@ import onnx
 import yaml
 from onnx import TensorProto, numpy_helper
 
-from trueangle.contract.metadata import METADATA_KEY
+from trueangle.contract.metadata import METADATA_KEY, OPEN_SEAL, SEAL_KEY, sealed
 from trueangle.laboratory import main as trueangle
 
 EXAMPLES = Path(__file__).parents[2] / "training" / "trueangle_training" / "examples"
@@ -29,6 +29,8 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as scratch:
         good = _train(Path(scratch))
     _save("good", good)
+    # The same graph for another joint: a file of its own, because one model on two joints is refused.
+    _save("twin", _changed(good, metadata=_metadata(good) | {"joint": "twin"}))
     _save("no-metadata", _changed(good, metadata=None))
     _save("newer-metadata", _changed(good, metadata=_metadata(good) | {"schema_version": 2}))
     partial = _metadata(good)
@@ -52,6 +54,7 @@ def _train(scratch: Path) -> onnx.ModelProto:
     plan = str(EXAMPLES / "plan.yaml")
     assert trueangle(["simulate", "--joint", files[0], "--plan", plan, "--seed", "1", "-o", files[1]]) == 0
     command = ["train", files[1], "--joint", files[0], "-o", files[2], "--seed", "1"]
+    command += ["--method", "fe-gabpnn-paper", "--fitness", "untrained"]
     assert trueangle([*command, "--calibrated", "2026-11-22", "--due", "2027-11-22"]) == 0
     return onnx.load(files[2])
 
@@ -128,7 +131,14 @@ def _external(model: onnx.ModelProto) -> onnx.ModelProto:
 
 
 def _save(name: str, model: onnx.ModelProto) -> None:
-    (MODELS / f"{name}.onnx").write_bytes(model.SerializeToString(deterministic=True))
+    """Every file is sealed anew, so that each is refused for its own fault."""
+    copy = onnx.ModelProto()
+    copy.CopyFrom(model)
+    others = {entry.key: entry.value for entry in copy.metadata_props if entry.key != SEAL_KEY}
+    del copy.metadata_props[:]
+    for key, value in {**others, SEAL_KEY: OPEN_SEAL}.items():
+        copy.metadata_props.add(key=key, value=value)
+    (MODELS / f"{name}.onnx").write_bytes(sealed(copy.SerializeToString(deterministic=True)))
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ POSITION, SEQUENCE, TEMPERATURE = (0x6004, 0), (0x2100, 0), (0x7130, 1)
 COUNTS_PER_REV = 3_276_800
 AS_CALIBRATED: dict[Address, tuple[int, int]] = {
     (0x6001, 0): (COUNTS_PER_REV, 4),
-    (0x6002, 0): (0, 4),
+    (0x6002, 0): (COUNTS_PER_REV, 4),
     (0x6003, 0): (0, 4),
     (0x6501, 0): (65_536, 4),
 }

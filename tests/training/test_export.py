@@ -14,7 +14,13 @@ from tests.training.reference_joint import polygon_campaign
 from trueangle_training.export import attach_metadata, build_graph, check_agreement
 from trueangle_training.fourier import FourierSeries
 from trueangle_training.methods import TrainingReadings
-from trueangle_training.methods.fe_gabpnn import FeGabpnnModel, FeGabpnnOptions, Fitness, Scaling, train_fe_gabpnn
+from trueangle_training.methods.fe_gabpnn_paper import (
+    FeGabpnnModel,
+    FeGabpnnOptions,
+    Fitness,
+    Scaling,
+    train_fe_gabpnn,
+)
 
 Floats = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ import trueangle_training.examples
 from trueangle.contract.calibration import campaign_to_csv, read_campaign
 from trueangle.contract.document import document_from_plain
 from trueangle.contract.errors import ContractError
-from trueangle.contract.joint import Joint, Plan, Reference, ReferenceKind, joint_from_document
+from trueangle.contract.joint import Joint, Plan, PlanZero, Reference, ReferenceKind, joint_from_document
 from trueangle_training.documents import dump_joint, dump_plan, load_joint, load_plan
 from trueangle_training.simulator.campaign import simulate_campaign
 from trueangle_training.simulator.joint import simulated_joint
@@ -268,3 +268,15 @@ def test_a_joint_with_a_reference_encoder_is_refused(joint: Joint) -> None:
     other = replace(joint, reference=Reference(kind=ReferenceKind.ENCODER))
     with pytest.raises(ContractError, match="expected polygon to simulate, found encoder"):
         simulate_campaign(simulated_joint(other), plan_of(), 0)
+
+
+def test_one_zero_keeps_the_datums_drift_in_the_errors() -> None:
+    plan = plan_of(zero=PlanZero.ONE, temperature_jitter_c=0.0)
+    campaign = simulate_campaign(simulated_joint(noise_free()), plan, 0)
+    assert campaign.temperature_c is not None
+    assert set(campaign.zero_group.tolist()) == {1}
+    assert set(campaign.run.tolist()) == set(range(1, 10))
+    true_deg = np.tile(np.arange(23) * PITCH_DEG, 9)
+    expected = closed_form_arcsec(true_deg, campaign.temperature_c)
+    assert np.ptp(expected[::23]) > 0.5
+    np.testing.assert_allclose(campaign.error_arcsec, expected - expected[0], atol=0.0007)

@@ -17,21 +17,23 @@ import pytest
 import trueangle_training.examples
 from trueangle.contract.metadata import (
     METADATA_KEY,
+    SEAL_KEY,
     ModelMetadata,
     metadata_from_json,
     metadata_to_json,
     probe_disagreement,
+    seal_holds,
 )
 from trueangle_training import cli
 from trueangle_training.documents import load_joint
 from trueangle_training.genetic import MutationForm
-from trueangle_training.methods.fe_gabpnn import Fitness
+from trueangle_training.methods.fe_gabpnn_paper import Fitness
 from trueangle_training.simulator.joint import simulated_joint
 from trueangle_training.train_options import FITNESS_CHOICES, MUTATION_CHOICES
 
 EXAMPLES = Path(trueangle_training.examples.__file__).parent
 JOINT, PLAN = str(EXAMPLES / "joint.yaml"), str(EXAMPLES / "plan.yaml")
-QUICK = ["--individuals", "4", "--generations", "2", "--fitness", "untrained"]
+QUICK = ["--method", "fe-gabpnn-paper", "--individuals", "4", "--generations", "2", "--fitness", "untrained"]
 
 Output = pytest.CaptureFixture[str]
 
@@ -98,7 +100,8 @@ def test_the_trained_model_corrects_the_simulated_joint(model_path: Path) -> Non
 def test_metadata_say_where_the_model_comes_from(model_path: Path, campaign_csv: Path) -> None:
     metadata = metadata_of(model_path)
     assert metadata.joint == "example-joint"
-    assert metadata.method == "fe-gabpnn"
+    assert metadata.method == "fe-gabpnn-paper"
+    assert metadata.encoder is not None
     assert metadata.encoder.counts_per_rev == 3276800
     assert metadata.encoder_settings.units_per_revolution == 3276800
     assert metadata.calibration.file_sha256 == hashlib.sha256(campaign_csv.read_bytes()).hexdigest()
@@ -155,6 +158,19 @@ def test_same_inputs_and_seed_give_the_same_file(model_path: Path, campaign_csv:
     assert other.read_bytes() != model_path.read_bytes()
 
 
+def test_without_a_joint_file_the_model_says_that_its_encoder_is_not_stated(
+    campaign_csv: Path, tmp_path: Path, capsys: Output
+) -> None:
+    out = tmp_path / "wrist.onnx"
+    assert cli.main(["train", str(campaign_csv), "-o", str(out), *QUICK]) == 0
+    entries = onnxruntime.InferenceSession(str(out)).get_modelmeta().custom_metadata_map
+    metadata = metadata_from_json(entries[METADATA_KEY], source="m")
+    assert metadata.encoder is None
+    assert any("another encoder" in note for note in metadata.notes)
+    assert "another encoder" in capsys.readouterr().out
+    assert seal_holds(out.read_bytes(), entries[SEAL_KEY])
+
+
 def test_the_report_labels_each_figure(campaign_csv: Path, tmp_path: Path, capsys: Output) -> None:
     out = tmp_path / "shoulder.onnx"
     geometry = ["--counts-per-rev", "3276800", "--lines-per-rev", "16384"]
@@ -164,9 +180,10 @@ def test_the_report_labels_each_figure(campaign_csv: Path, tmp_path: Path, capsy
     assert "zeroed one by one (Eq. 11) cannot show it" in captured.out
     assert hashlib.sha256(out.read_bytes()).hexdigest() in captured.out
     # Not a terminal: one plain line a stage, no bar.
-    assert captured.err == "training fe-gabpnn on 483 readings\n"
+    assert captured.err == "training fe-gabpnn-paper on 483 readings\n"
     metadata = metadata_of(out)
     assert metadata.joint == "shoulder"
+    assert metadata.encoder is not None
     assert metadata.encoder.counts_per_rev == 3276800
     assert metadata.reference.kind == "polygon"
     assert metadata.reference.standard_uncertainty_arcsec is None
@@ -237,7 +254,6 @@ def test_faults_of_all_inputs_come_at_once(tmp_path: Path, capsys: Output) -> No
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        ([], "expected --joint JOINT.yaml, or --counts-per-rev and --lines-per-rev, found neither"),
         (["--counts-per-rev", "100"], "found only counts_per_rev"),
         (["--joint", JOINT, "--lines-per-rev", "100"], "found --lines-per-rev"),
         (["--joint", JOINT, "--calibrated", "2025-02-30"], "a day of the calendar"),
@@ -252,14 +268,23 @@ def test_faults_of_all_inputs_come_at_once(tmp_path: Path, capsys: Output) -> No
         (["--joint", JOINT, "--hidden-nodes", "200"], "outnumbers the 801 parameters, found 483"),
         (["--joint", JOINT, "--epochs", "-1"], "max_epochs"),
         (["--joint", JOINT, "--individuals", "1"], "individuals"),
-        (["--joint", JOINT, "--threads", "0"], "threads"),
+        (["--joint", JOINT, "--threads", "0"], "--threads: expected 1 or more, found 0"),
         (["--joint", JOINT, "--seed", "-1"], "--seed: expected 0 or more, found -1"),
     ],
 )
 def test_options_that_do_not_fit_are_named_and_nothing_is_written(
     campaign_csv: Path, tmp_path: Path, capsys: Output, options: list[str], complaint: str
 ) -> None:
-    err = refused(["train", str(campaign_csv), "-o", str(tmp_path / "m.onnx"), *options], capsys)
+    arguments = [
+        "train",
+        str(campaign_csv),
+        "-o",
+        str(tmp_path / "m.onnx"),
+        "--method",
+        "fe-gabpnn-paper",
+        *options,
+    ]
+    err = refused(arguments, capsys)
     assert complaint in err
     assert list(tmp_path.iterdir()) == []
 
@@ -314,7 +339,8 @@ def python_path() -> dict[str, str]:
 
 def test_an_interrupt_leaves_nothing_behind_and_ends_with_130(campaign_csv: Path, tmp_path: Path) -> None:
     out = tmp_path / "m.onnx"
-    arguments = ["train", str(campaign_csv), "-o", str(out), "--joint", JOINT, "--generations", "100000"]
+    method = ["--method", "fe-gabpnn-paper", "--generations", "100000"]
+    arguments = ["train", str(campaign_csv), "-o", str(out), "--joint", JOINT, *method]
     program = f"import sys; from trueangle_training import cli; sys.exit(cli.main({arguments!r}))"
     with subprocess.Popen(
         [sys.executable, "-c", program],

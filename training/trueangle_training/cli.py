@@ -5,14 +5,33 @@ Exit codes: 0 done, 2 an input that must be mended (every fault on its own line 
 
 import argparse
 import datetime
+import os
 import sys
 from collections.abc import Sequence
 
 from trueangle.contract.errors import TrueangleError
-from trueangle_training import demo_command, simulate_command, train_command
+from trueangle_training import (
+    compare_command,
+    demo_command,
+    errors_command,
+    plan_command,
+    report_command,
+    reproduce_command,
+    simulate_command,
+    train_command,
+)
 from trueangle_training.command import Register, Run, Surroundings
 
-COMMANDS: tuple[Register, ...] = (train_command.register, simulate_command.register, demo_command.register)
+COMMANDS: tuple[Register, ...] = (
+    plan_command.register,
+    errors_command.register,
+    train_command.register,
+    compare_command.register,
+    report_command.register,
+    reproduce_command.register,
+    simulate_command.register,
+    demo_command.register,
+)
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
 
@@ -24,6 +43,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     today = datetime.datetime.now(tz=datetime.UTC).astimezone().date()
     try:
         return run(arguments, Surroundings(today=today, out=sys.stdout, err=sys.stderr))
+    except BrokenPipeError:
+        # Whoever read our output has gone, as `head` does; the interpreter must not try to write the rest.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_BAD_INPUT
     except TrueangleError as error:
         sys.stderr.writelines(f"trueangle: {line}\n" for line in str(error).splitlines())
         return EXIT_BAD_INPUT

@@ -5,7 +5,7 @@ look right. Every check says what it saw and in which lines, and all faults come
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from trueangle.contract.metadata import Interval
 from trueangle.contract.units import ARCSEC_PER_DEG, DEG_PER_TURN, angle_difference_deg, wrap_deg
 from trueangle_training.methods import TrainingReadings, distinct_angle_count
 from trueangle_training.methods.base_series import SAME_TEMPERATURE_C
+from trueangle_training.outliers import contradiction_faults
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -29,6 +30,8 @@ SMALLEST_PEAK_TO_PEAK_ARCSEC = 0.2
 """No joint is that good: 0.2 arcsec are 720 arcsec taken for degrees."""
 LARGEST_ERROR_ARCSEC = 18_000.0
 TEMPERATURE_LIMITS_C = (-60.0, 150.0)
+ANY_TEMPERATURE_C = 20.0
+"""Stands for the temperature where it is not used; no figure depends on it."""
 RADIAN_TURN = 6.3
 FEWEST_ANGLES_TO_JUDGE = 8
 LARGEST_SPAN_DEG = 36_000.0
@@ -56,20 +59,32 @@ class TrainingSet:
         """Root mean square of the errors before any correction, from the datum."""
         return float(np.sqrt(np.mean(self.readings.error_arcsec**2)))
 
+    @property
+    def raw_centred_rms_arcsec(self) -> float:
+        """The same, counted from the mean of each zero group."""
+        return centred_rms(self.readings.error_arcsec, self.readings)
+
 
 def training_set(
     campaign: Campaign,
     *,
-    base_temperature_c: float,
-    parameters: int,
-    validation_fraction: float,
+    base_temperature_c: float | None,
+    parameters: int = 0,
+    validation_fraction: float = 0.0,
     faces: int | None = None,
+    free_offsets: bool = False,
+    temperature_used: bool = True,
 ) -> TrainingSet:
     """Check the campaign and make it a training set.
 
-    `parameters` is the number that the method fits to the part of the readings that is not kept for validation;
-    `faces` is the polygon's number where it is known. ContractError lists every fault with file and lines.
+    `base_temperature_c` is that of methods which need runs at it, None for others; `parameters` is the number that
+    the method fits to the part of the readings that is not kept for validation; `faces` is the polygon's number
+    where it is known; `free_offsets` says that the method estimates the zero of every group, so that groups may be
+    zeroed anywhere; without `temperature_used` the column may be missing and nothing is asked of it. ContractError
+    lists every fault with file and lines.
     """
+    if not temperature_used:
+        campaign = replace(campaign, temperature_c=np.full(len(campaign), ANY_TEMPERATURE_C))
     if campaign.temperature_c is None:
         found = "no such column, or no value in it"
         where = f"{campaign.source}, column temperature_c"
@@ -81,15 +96,23 @@ def training_set(
         left_out = campaign.row[~with_temperature]
         notes.append(f"{left_out.size} readings without a temperature were left out ({_rows(left_out)})")
     angle_deg, error_arcsec = campaign.angle_deg[with_temperature], campaign.error_arcsec[with_temperature]
-    run = campaign.run[with_temperature]
-    readings = TrainingReadings(
-        angle_deg=angle_deg, error_arcsec=error_arcsec, temperature_c=temperature_c, run=run
-    )
-    datum_deg, zero_faults = _datum(campaign)
     valid_angle_deg, gap_faults = _valid_angle(campaign)
+    whole_turn = valid_angle_deg.maximum - valid_angle_deg.minimum == DEG_PER_TURN
+    datum_deg, zero_faults = _datum(campaign, free_offsets=free_offsets)
+    # The first face is the encoder's zero; a stop a few arcminutes after it stands for it, and where every group's
+    # zero is estimated any place of the turn may be the datum.
+    datum_deg = 0.0 if whole_turn and (datum_deg <= SAME_PLACE_DEG or free_offsets) else datum_deg
+    readings = TrainingReadings(
+        angle_deg=angle_deg,
+        error_arcsec=error_arcsec,
+        temperature_c=temperature_c,
+        run=campaign.run[with_temperature],
+        zero_group=campaign.zero_group[with_temperature],
+        datum_deg=datum_deg,
+    )
     faults = [
         *_unit_faults(campaign),
-        *_temperature_faults(campaign, readings, base_temperature_c),
+        *(_temperature_faults(campaign, readings, base_temperature_c) if temperature_used else ()),
         *_copy_faults(campaign),
         *_face_faults(campaign, faces),
         *_sign_faults(campaign, faces),
@@ -97,17 +120,53 @@ def training_set(
         *zero_faults,
         *gap_faults,
     ]
+    # Only data that are sound otherwise have a curve that single readings can be held against.
+    faults = faults or contradiction_faults(campaign, readings, campaign.row[with_temperature])
     if faults:
         raise ContractError(faults)
-    whole_turn = valid_angle_deg.maximum - valid_angle_deg.minimum == DEG_PER_TURN
     return TrainingSet(
         readings=readings,
-        # The first face is the encoder's zero; a stop a few arcminutes after it stands for it.
-        datum_deg=0.0 if whole_turn and datum_deg <= SAME_PLACE_DEG else datum_deg,
+        datum_deg=datum_deg,
         valid_angle_deg=valid_angle_deg,
-        valid_temperature_c=Interval(minimum=float(temperature_c.min()), maximum=float(temperature_c.max())),
+        valid_temperature_c=_valid_temperature(temperature_c, temperature_used=temperature_used),
         notes=tuple(notes),
     )
+
+
+def _valid_temperature(temperature_c: Floats, *, temperature_used: bool) -> Interval:
+    """What the campaign covers; all that an encoder meets where temperature is ignored."""
+    lowest_c, highest_c = TEMPERATURE_LIMITS_C
+    if temperature_used:
+        lowest_c, highest_c = float(temperature_c.min()), float(temperature_c.max())
+    return Interval(minimum=lowest_c, maximum=highest_c)
+
+
+def centred_rms(values_arcsec: Floats, readings: TrainingReadings) -> float:
+    """Root mean square of values at the readings, each less the mean of its zero group."""
+    group = readings.offset_group
+    means = np.bincount(group, weights=values_arcsec) / np.bincount(group)
+    return float(np.sqrt(np.mean((values_arcsec - means[group]) ** 2)))
+
+
+def without_rows(campaign: Campaign, rows: frozenset[int]) -> Campaign:
+    """The campaign without the readings of these file lines, and a note that says so.
+
+    ContractError where a line holds no reading.
+    """
+    unknown = sorted(rows - set(campaign.row.tolist()))
+    if unknown:
+        expected = f"lines of {campaign.source} that hold a reading"
+        raise ContractError([Fault(where="--exclude-rows", expected=expected, found=_rows(unknown))])
+    keep = ~np.isin(campaign.row, sorted(rows))
+    if not keep.any():
+        raise ContractError([Fault(where="--exclude-rows", expected="readings left over", found="none")])
+    columns = {
+        field.name: values[keep]
+        for field in fields(campaign)
+        if isinstance(values := getattr(campaign, field.name), np.ndarray)
+    }
+    note = f"{len(rows)} readings were left out by the user ({_rows(sorted(rows))})"
+    return replace(campaign, **columns, notes=(*campaign.notes, note))
 
 
 def readings_needed(parameters: int, validation_fraction: float) -> int:
@@ -141,7 +200,10 @@ def _unit_faults(campaign: Campaign) -> list[Fault]:
     if absurd.any():
         expected = f"errors up to {LARGEST_ERROR_ARCSEC:g} arcsec (5 deg)"
         found = f"up to {np.abs(error_arcsec).max():.6g}"
-        advice = "is the angle or the error in a wrong unit, or a turn left in the difference?"
+        advice = (
+            "is the angle or the error in a wrong unit, or a turn left in the difference? Mend the file, or leave "
+            f"them out with --exclude-rows {','.join(str(row) for row in campaign.row[absurd][:ROWS_SHOWN])}"
+        )
         where = _at_rows(campaign, "error_arcsec", absurd)
         faults.append(Fault(where=where, expected=expected, found=found, advice=advice))
     span_deg = float(np.ptp(angle_deg))
@@ -161,7 +223,9 @@ def _unit_faults(campaign: Campaign) -> list[Fault]:
     return faults
 
 
-def _temperature_faults(campaign: Campaign, readings: TrainingReadings, base_temperature_c: float) -> list[Fault]:
+def _temperature_faults(
+    campaign: Campaign, readings: TrainingReadings, base_temperature_c: float | None
+) -> list[Fault]:
     assert campaign.temperature_c is not None  # noqa: S101 - the caller has looked
     where = f"{campaign.source}, column temperature_c"
     lowest_c, highest_c = TEMPERATURE_LIMITS_C
@@ -178,6 +242,8 @@ def _temperature_faults(campaign: Campaign, readings: TrainingReadings, base_tem
         found = f"runs at about {groups_c} degC only"
         advice = "a model of one temperature is no temperature compensation: measure at the ends of the use"
         return [Fault(where=where, expected=expected, found=found, advice=advice)]
+    if base_temperature_c is None:
+        return []
     if not (np.abs(run_mean_c - base_temperature_c) <= SAME_TEMPERATURE_C).any():
         expected = f"runs within {SAME_TEMPERATURE_C:g} degC of the base temperature {base_temperature_c:g} degC"
         found = f"runs at about {groups_c} degC"
@@ -290,7 +356,7 @@ def _number_faults(campaign: Campaign, count: int, parameters: int, validation_f
     return faults
 
 
-def _datum(campaign: Campaign) -> tuple[float, list[Fault]]:
+def _datum(campaign: Campaign, *, free_offsets: bool) -> tuple[float, list[Fault]]:
     """Where the zero groups have their zero: the mean angle of their first readings, in [0, 360)."""
     _, first = np.unique(campaign.zero_group, return_index=True)
     starts_deg = campaign.angle_deg[first]
@@ -299,13 +365,15 @@ def _datum(campaign: Campaign) -> tuple[float, list[Fault]]:
     apart = np.abs(from_first_deg) > SAME_PLACE_DEG
     if not apart.any():
         return datum_deg, []
+    if free_offsets:
+        return wrap_deg(float(starts_deg[0])), []
     listed = ", ".join(f"{angle:.3f}" for angle in np.unique(np.round(wrap_deg(starts_deg), 3))[:ROWS_SHOWN])
     fault = Fault(
         where=f"{campaign.source} {_rows(campaign.row[first[apart]])}, column angle_deg",
         expected=f"every zero group to begin within {SAME_PLACE_DEG:g} deg of {float(starts_deg[0]):.3f} deg",
         found=f"beginnings at {listed} deg",
         advice="errors zeroed at different angles differ by an unknown offset, which this method would take for "
-        "error: zero every run at the same angle (shift_faces: 0 or a whole number)",
+        "error: zero every run at the same angle (shift_faces: 0 or a whole number), or choose --method linear",
     )
     return datum_deg, [fault]
 

@@ -1,6 +1,7 @@
-"""Levenberg-Marquardt for a population of least-squares problems that share their data.
+"""Levenberg-Marquardt for a population of least-squares problems of one shape.
 
-Each member solves, at each epoch, with its own damping μ,
+The members share their data, or each has its own (`MemberwiseProblem`). Each member solves, at each epoch, with
+its own damping μ,
 
     (JᵀJ + μ I) dx = Jᵀ r,    r = target - prediction(x),    J = d prediction / dx
 
@@ -12,7 +13,7 @@ linearised anew.
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -33,6 +34,23 @@ class LeastSquaresProblem(Protocol):
         ...
 
 
+@runtime_checkable
+class MemberwiseProblem(Protocol):
+    """A problem whose members have data of their own, such as different readings kept apart."""
+
+    def residual(self, parameters: Tensor) -> Tensor:
+        """As of `LeastSquaresProblem`, for all members."""
+        ...
+
+    def jacobian(self, parameters: Tensor) -> Tensor:
+        """As of `LeastSquaresProblem`, for all members."""
+        ...
+
+    def of_members(self, members: Tensor) -> LeastSquaresProblem:
+        """The problem of these members alone, in this order; `members` is int64 [chosen]."""
+        ...
+
+
 class StopReason(Enum):
     """Why a member's iteration ended; none of them is an error."""
 
@@ -47,6 +65,9 @@ class LevenbergMarquardtOptions:
     """Settings that reproduce the paper's figures, where the paper leaves them open."""
 
     max_epochs: int = 100
+    max_accepted_steps: int | None = None
+    """Accepted steps after which a member stops; None: only `max_epochs` counts. MATLAB's trainlm, and with it
+    much of the literature, calls an accepted step with all its trials one epoch."""
     patience: int = 6
     """Accepted steps in a row without a lower validation error before a member stops."""
     initial_damping: float = 1e-3
@@ -62,6 +83,11 @@ class LevenbergMarquardtOptions:
             raise ValueError(
                 "Levenberg-Marquardt: expected max_epochs of 0 or more and patience of 1 or more, "
                 f"found {self.max_epochs} and {self.patience}"
+            )
+        if self.max_accepted_steps is not None and self.max_accepted_steps < 1:
+            raise ValueError(
+                "Levenberg-Marquardt: expected max_accepted_steps of 1 or more, or None, "
+                f"found {self.max_accepted_steps}"
             )
         if not (0 < self.accepted_factor < 1 < self.rejected_factor):
             raise ValueError(
@@ -138,6 +164,7 @@ class _Population:
         jacobian_bytes = 8 * count * self._residual.shape[1]
         self._members_per_slice = max(1, _CACHE_BYTES // jacobian_bytes)
         self._epochs = torch.zeros(members, dtype=torch.int64)
+        self._accepted = torch.zeros(members, dtype=torch.int64)
         self._reasons = [StopReason.EPOCHS_SPENT] * members
         self._best_parameters = self._parameters.clone()
         self._best_validation = None if validation is None else _mean_square(validation, start)
@@ -151,7 +178,7 @@ class _Population:
         running = self.running
         step, solvable = self._steps(running)
         trial = self._parameters[running] + step
-        residual = self._problem.residual(trial)
+        residual = _of_members(self._problem, running).residual(trial)
         sum_square = residual.square().sum(dim=1)
         # A comparison with NaN is False: a trial that overflowed is dropped like one that went uphill.
         lower = solvable & (sum_square < self._sum_square[running])
@@ -165,13 +192,17 @@ class _Population:
         self._epochs[running] += 1
         self._outdated = taken
         self._stop(running[damping > self._options.largest_damping], StopReason.DAMPING_LIMIT)
+        self._accepted[taken] += 1
         self._validate(taken)
+        if self._options.max_accepted_steps is not None:
+            spent = taken[self._accepted[taken] >= self._options.max_accepted_steps]
+            self._stop(spent[torch.isin(spent, self.running)], StopReason.EPOCHS_SPENT)
 
     def _linearise(self) -> None:
         """JᵀJ and Jᵀr of the members that moved."""
         moved = self._outdated
         for members in moved.split(self._members_per_slice):
-            jacobian = self._problem.jacobian(self._parameters[members])
+            jacobian = _of_members(self._problem, members).jacobian(self._parameters[members])
             self._hessian[members] = torch.bmm(jacobian, jacobian.transpose(1, 2))
             self._gradient[members] = torch.bmm(jacobian, self._residual[members, :, None])[:, :, 0]
         flat = self._gradient[moved].abs().amax(dim=1) <= self._options.smallest_gradient
@@ -189,7 +220,7 @@ class _Population:
         """Keep the weights of the lowest validation error; stop who has failed too often in a row."""
         if self._validation is None or self._best_validation is None or not taken.numel():
             return
-        mean_square = _mean_square(self._validation, self._parameters[taken])
+        mean_square = _mean_square(_of_members(self._validation, taken), self._parameters[taken])
         better = mean_square < self._best_validation[taken]
         improved = taken[better]
         self._best_validation[improved] = mean_square[better]
@@ -220,6 +251,10 @@ class _Population:
             epochs=tuple(self._epochs.tolist()),
             stop_reasons=tuple(self._reasons),
         )
+
+
+def _of_members(problem: LeastSquaresProblem, members: Tensor) -> LeastSquaresProblem:
+    return problem.of_members(members) if isinstance(problem, MemberwiseProblem) else problem
 
 
 def _mean_square(problem: LeastSquaresProblem, parameters: Tensor) -> Tensor:

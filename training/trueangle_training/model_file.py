@@ -9,18 +9,21 @@ from trueangle.contract.errors import TrueangleError
 from trueangle.contract.metadata import (
     ANGLE_INPUT,
     METADATA_KEY,
+    OPEN_SEAL,
     PROBE_TOLERANCE_ARCSEC,
+    SEAL_KEY,
     TEMPERATURE_INPUT,
     Interval,
     ModelInput,
     ModelMetadata,
     Probes,
     metadata_to_json,
+    sealed,
 )
 from trueangle.contract.units import DEG_PER_TURN
-from trueangle_training.export import attach_metadata, build_graph, check_agreement
-from trueangle_training.methods import ErrorModel
-from trueangle_training.methods.fe_gabpnn import FeGabpnnModel
+from trueangle_training.export import NO_ADDITIONS, attach_metadata, build_graph, check_agreement
+from trueangle_training.methods import FittedModel
+from trueangle_training.uncertainty import UncertaintyBudget, total_uncertainty_arcsec
 
 Floats = NDArray[np.float64]
 
@@ -46,7 +49,9 @@ def package_versions() -> dict[str, str]:
     return {name: version(name) for name in PACKAGES}
 
 
-def model_probes(model: ErrorModel, *, datum_deg: float, temperature_c: Interval) -> Probes:
+def model_probes(
+    model: FittedModel, *, datum_deg: float, temperature_c: Interval, budget: UncertaintyBudget = NO_ADDITIONS
+) -> Probes:
     """Angles all round, at the seam, at the datum and turns away from it; three temperatures."""
     # Off the polygon's faces and off the places where sines are round numbers.
     all_round = np.arange(PROBE_ANGLES) * (DEG_PER_TURN / PROBE_ANGLES) + 7.3
@@ -58,26 +63,29 @@ def model_probes(model: ErrorModel, *, datum_deg: float, temperature_c: Interval
     angle_deg = np.tile(angles_deg, temperatures_c.size)
     at_c = np.repeat(temperatures_c, angles_deg.size)
     correction_arcsec = -model.error_arcsec(angle_deg, at_c)
+    uncertainty_arcsec = total_uncertainty_arcsec(model, budget, angle_deg, at_c)
     return Probes(
         angle_deg=tuple(angle_deg.tolist()),
         temperature_c=tuple(at_c.tolist()),
         # Adding 0 turns the -0.0 of the datum into 0.0.
         correction_arcsec=tuple((correction_arcsec + 0.0).tolist()),
+        uncertainty_arcsec=None if uncertainty_arcsec is None else tuple(uncertainty_arcsec.tolist()),
     )
 
 
-def model_file(model: FeGabpnnModel, metadata: ModelMetadata) -> bytes:
+def model_file(model: FittedModel, metadata: ModelMetadata, budget: UncertaintyBudget = NO_ADDITIONS) -> bytes:
     """The ONNX file's bytes; DisagreementError where ONNX Runtime does not reproduce the model and its probes."""
-    proto = build_graph(model)
+    proto = build_graph(model, budget)
     attach_metadata(proto, METADATA_KEY, metadata_to_json(metadata))
-    data = proto.SerializeToString(deterministic=True)
+    attach_metadata(proto, SEAL_KEY, OPEN_SEAL)
+    data = sealed(proto.SerializeToString(deterministic=True))
     probes = metadata.probes
     # Ranges beyond the valid ones are replayed too: the graph must clamp nothing.
     angle_deg = np.concatenate([np.array(probes.angle_deg), np.linspace(-1000.0, 1000.0, CHECK_ANGLES)])
     valid_c = metadata.valid_temperature_c
     grid_c = np.linspace(valid_c.minimum - 20.0, valid_c.maximum + 20.0, CHECK_ANGLES)
     temperature_c = np.concatenate([np.array(probes.temperature_c), np.roll(grid_c, CHECK_ANGLES // 3)])
-    difference_arcsec = check_agreement(data, model, angle_deg, temperature_c)
+    difference_arcsec = check_agreement(data, model, angle_deg, temperature_c, budget)
     if not difference_arcsec <= PROBE_TOLERANCE_ARCSEC:
         raise DisagreementError(
             f"exported graph: expected the model's corrections within {PROBE_TOLERANCE_ARCSEC:g} arcsec, "

@@ -7,7 +7,7 @@ passes through them and swings far beyond them in between.
 import numpy as np
 
 from trueangle.contract.errors import ContractError, Fault
-from trueangle_training.dataset import TrainingSet
+from trueangle_training.dataset import TrainingSet, centred_rms
 from trueangle_training.methods import ErrorModel
 
 LARGEST_SWING_OVER_READINGS = 0.5
@@ -19,10 +19,11 @@ def check_model(model: ErrorModel, data: TrainingSet, *, source: str) -> None:
     """ContractError where the model fits no better than none, or swings beyond its readings between them."""
     readings = data.readings
     left = readings.error_arcsec - model.error_arcsec(readings.angle_deg, readings.temperature_c)
-    left_rms = float(np.sqrt(np.mean(left**2)))
+    # From the mean of each group, because a group's own zero is no error of the model.
+    left_rms, raw_rms = centred_rms(left, readings), data.raw_centred_rms_arcsec
     faults: list[Fault] = []
-    if not left_rms < data.raw_rms_arcsec / 2:
-        expected = f"a model that leaves less than half of the raw error ({data.raw_rms_arcsec:.3g} arcsec RMS)"
+    if not left_rms < raw_rms / 2:
+        expected = f"a model that leaves less than half of the raw error ({raw_rms:.3g} arcsec RMS)"
         advice = "train with another seed or more hidden nodes, or look whether the angle is another joint's"
         faults.append(Fault(where=source, expected=expected, found=f"{left_rms:.3g} arcsec RMS", advice=advice))
     angle_deg, temperature_c = (

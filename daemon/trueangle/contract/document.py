@@ -21,8 +21,11 @@ from trueangle.contract.errors import ContractError, Fault
 T = TypeVar("T")
 Scalar = str | int | float | bool | None
 
-MAX_NODES = 200_000
+MAX_NODES = 20_000
 """A document that grows beyond this by aliases is refused ("billion laughs")."""
+
+
+_PLAIN_INTEGER = r"-?(0|[1-9][0-9]*)|0x[0-9a-fA-F]+"
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
@@ -155,6 +158,9 @@ def _convert(raw: Any, reader: YamlLoader, at: Node, faults: list[Fault], budget
         ]
         return dataclasses.replace(here, value=items)
     value = reader.construct_object(raw)
+    if type(value) is int and not re.fullmatch(_PLAIN_INTEGER, raw.value):
+        # YAML 1.1 reads 010 as eight and 1:10 as seventy: nobody who writes a node number means that.
+        faults.append(Fault(where=here.where, expected="a plain decimal or 0x number", found=raw.value))
     if value is not None and not isinstance(value, (str, int, float, bool)):
         value = raw.value  # dates and the like stay the text they were written as
     return dataclasses.replace(here, value=value)
@@ -348,9 +354,16 @@ def _structure_scalar(hint: type[Any], node: Node, faults: list[Fault], limits: 
     if holds and pattern:
         holds = re.fullmatch(pattern.regex, cast("str", value)) is not None
     if not holds:
-        faults.append(Fault(where=node.where, expected=expected, found=_shown(node)))
+        faults.append(Fault(where=node.where, expected=expected, found=_shown(node), advice=_advice(hint, value)))
         return None
     return float(cast("float", value)) if hint is float else value
+
+
+def _advice(hint: type[Any], value: Any) -> str:
+    """YAML 1.1 takes 1e-2 for a text: it wants a point."""
+    if hint is float and isinstance(value, str) and re.fullmatch(r"[-+]?[0-9]+[eE][-+]?[0-9]+", value):
+        return f"write {float(value)!r}"
+    return ""
 
 
 def _shown(node: Node) -> str:

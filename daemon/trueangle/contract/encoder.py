@@ -5,10 +5,13 @@ preset). Model file, configuration and the running node are therefore compared f
 """
 
 from dataclasses import dataclass, fields
+from typing import Annotated
 
+from trueangle.contract.document import Range
 from trueangle.contract.units import ARCSEC_PER_TURN, DEG_PER_TURN
 
 MAX_COUNTS_PER_REV = 2**32
+Unsigned32 = Annotated[int, Range(minimum=0, maximum=2**32 - 1)]
 SCALING_ON = 1 << 2
 """Bit 2 of 0x6000, scaling function control."""
 
@@ -20,29 +23,29 @@ class EncoderSettings:
     Sources: CiA 301 (0x1000, 0x1018), CiA 406 (0x6000 ... 0x650B).
     """
 
-    device_type: int | None = None
+    device_type: Unsigned32 | None = None
     """0x1000; the low 16 bits are the profile number, 406 for an encoder."""
-    vendor_id: int | None = None
+    vendor_id: Unsigned32 | None = None
     """0x1018:1"""
-    product_code: int | None = None
+    product_code: Unsigned32 | None = None
     """0x1018:2"""
-    revision_number: int | None = None
+    revision_number: Unsigned32 | None = None
     """0x1018:3"""
-    serial_number: int | None = None
+    serial_number: Unsigned32 | None = None
     """0x1018:4, or 0x650B where 0x1018:4 is absent or 0."""
-    operating_parameters: int | None = None
+    operating_parameters: Unsigned32 | None = None
     """0x6000; bit 0 code sequence (0 clockwise), bit 2 scaling on."""
-    units_per_revolution: int | None = None
+    units_per_revolution: Unsigned32 | None = None
     """0x6001, measuring units per revolution: counts of the position value in one turn."""
-    total_range_units: int | None = None
+    total_range_units: Unsigned32 | None = None
     """0x6002, total measuring range in measuring units; 0 means 2^32."""
-    preset_value: int | None = None
+    preset_value: Unsigned32 | None = None
     """0x6003, in measuring units."""
-    single_turn_resolution: int | None = None
+    single_turn_resolution: Unsigned32 | None = None
     """0x6501"""
-    distinguishable_revolutions: int | None = None
+    distinguishable_revolutions: Unsigned32 | None = None
     """0x6502"""
-    offset_value: int | None = None
+    offset_value: Unsigned32 | None = None
     """0x6509, the difference that a preset made, in measuring units."""
 
     def differences_from(self, expected: "EncoderSettings") -> list[str]:

@@ -126,12 +126,12 @@ class Joint:
     def __post_init__(self) -> None:
         faults = [
             Fault(
-                where=node.where,
+                where=f"effects.{name}",
                 expected="an effect of the library",
                 found=name,
                 advice=", ".join(EFFECT_NAMES),
             )
-            for name, node in self.effects.items()
+            for name in self.effects
             if name not in EFFECT_NAMES
         ]
         if faults:
@@ -175,6 +175,15 @@ def joint_to_plain(joint: Joint) -> dict[str, Any]:
     return plain(joint)
 
 
+class PlanZero(Enum):
+    """Which readings are counted from the same zero."""
+
+    PER_RUN = "per_run"
+    """Every run is zeroed at its first reading, as eq. (11) of Jia et al. 2020 has it."""
+    ONE = "one"
+    """Polygon, encoder and autocollimator are left as they are over all temperatures: one zero for all runs."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
     """PLAN.yaml: which angles at which temperatures, how often."""
@@ -192,14 +201,19 @@ class Plan:
     temperature_jitter_c: Annotated[float, Range(minimum=0, maximum=10)] = 0.1
     """Half width of the chamber's temperature about its set point."""
     seconds_per_reading: Annotated[float, Range(minimum=0, maximum=3600)] = 15.0
+    zero: PlanZero = PlanZero.PER_RUN
+    """One zero shows how the datum itself moves with temperature; turning the polygon on the shaft loses it."""
 
     def __post_init__(self) -> None:
         faults: list[Fault] = []
+        if self.zero is PlanZero.ONE and self.shift_faces != 0:
+            expected = "0 beside zero: one, as a polygon turned on the shaft has a new zero"
+            faults.append(Fault(where="shift_faces", expected=expected, found=f"{self.shift_faces:g}"))
         if not self.temperatures_c:
             faults.append(Fault(where="temperatures_c", expected="at least one temperature", found="none"))
-        if not self.directions or 0 in self.directions:
+        if not self.directions or 0 in self.directions or len(set(self.directions)) < len(self.directions):
             found = str(list(self.directions))
-            faults.append(Fault(where="directions", expected="a list of 1 and -1", found=found))
+            faults.append(Fault(where="directions", expected="1, -1 or both, each once", found=found))
         if faults:
             raise ContractError(faults)
 

@@ -5,8 +5,10 @@ The document travels in the ONNX file's `metadata_props` under `METADATA_KEY`; i
 """
 
 import datetime
+import hashlib
 import json
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
@@ -19,6 +21,10 @@ from trueangle.contract.joint import JointEncoder
 from trueangle.contract.units import DEG_PER_TURN
 
 METADATA_KEY = "trueangle"
+SEAL_KEY = "trueangle_sha256"
+"""The SHA-256 of the whole file with the digest's own 64 digits written as zeros: shows damage that neither the
+graph's checker nor the probes can see, such as a changed range or datum."""
+OPEN_SEAL = "0" * 64
 SCHEMA_VERSION = 1
 SIGN_CONVENTION = "corrected = raw + correction"
 
@@ -100,7 +106,8 @@ class FitErrors:
     """RMS of readings about the model's own error curve, its constant included; None: not evaluated."""
 
     in_sample_rmse_arcsec: float | None = None
-    """Over the readings it was trained on: says little about other angles and temperatures."""
+    """Over the readings it was trained on, about the mean of each zero group: says little about other angles and
+    temperatures."""
     validation_rmse_arcsec: float | None = None
     """Over the random part kept back for early stopping, so slightly optimistic."""
     held_out_rmse_arcsec: float | None = None
@@ -149,7 +156,7 @@ class ModelMetadata:
     probes: Probes
     encoder: JointEncoder | None = None
     """The encoder of the calibration; None: not stated, so nobody can tell it from another's."""
-    probe_tolerance_arcsec: Annotated[float, Range(minimum=0, maximum=0.001)] = PROBE_TOLERANCE_ARCSEC
+    probe_tolerance_arcsec: Annotated[float, Range(minimum=0, maximum=1e-6)] = PROBE_TOLERANCE_ARCSEC
     notes: tuple[str, ...] = field(default=())
 
     def __post_init__(self) -> None:
@@ -196,6 +203,20 @@ def metadata_from_json(text: str, *, source: str) -> ModelMetadata:
 
 def _no_constant(name: str) -> float:
     raise ValueError(f"{name} is no JSON number")
+
+
+def sealed(data: bytes) -> bytes:
+    """The file with its digest in the place of `OPEN_SEAL`, which must stand in it exactly once."""
+    if data.count(OPEN_SEAL.encode()) != 1:
+        raise ValueError("the open seal must stand in the file exactly once")
+    return data.replace(OPEN_SEAL.encode(), hashlib.sha256(data).hexdigest().encode())
+
+
+def seal_holds(data: bytes, seal: str | None) -> bool:
+    """Whether the file is, byte for byte, the one that was sealed."""
+    if seal is None or not re.fullmatch("[0-9a-f]{64}", seal):
+        return False
+    return hashlib.sha256(data.replace(seal.encode(), OPEN_SEAL.encode())).hexdigest() == seal
 
 
 def metadata_schema() -> dict[str, Any]:

@@ -40,6 +40,14 @@ ENCODER_OBJECTS: Mapping[str, Address] = {
     "offset_value": (0x6509, 0),
 }
 """Field of EncoderSettings to object, in the order of reading."""
+PHASE_OBJECTS = (
+    "operating_parameters",
+    "units_per_revolution",
+    "total_range_units",
+    "preset_value",
+    "offset_value",
+)
+"""What moves the phase or the scale of the position, asked again and again in service."""
 PROFILE_SERIAL: Address = (0x650B, 0)
 
 

@@ -2,9 +2,9 @@
 
 Rules of this file: a cycle ends when every joint that answered the last SYNC has answered this one, at the
 latest at the next SYNC; between cycles `tick` renews ages and marks what has gone stale. A position was sampled
-at SYNC (CiA 301, synchronous PDO), so SYNC is its time and its age counts from there; where no SYNC is seen, its
-arrival is. Nothing here waits, sleeps or raises for a bad joint: a joint's trouble is its status word, the
-others go on.
+at SYNC (CiA 301, synchronous PDO), so its age counts from the SYNC that it answers (`sync_time`); where no SYNC
+is seen, from its arrival. Nothing here waits, sleeps or raises for a bad joint: a joint's trouble is its status
+word, the others go on.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -15,6 +15,7 @@ from trueangle.core.frames import FrameLayout, NodePlan, frame_layouts
 from trueangle.core.health import Evidence, Limits, NodeCondition, ServiceBit, StatusBit, judge
 from trueangle.core.registers import JointState, RegisterImage, RegisterMap
 from trueangle.core.sample import JointSample, SampleScale
+from trueangle.core.sync_time import SyncHistory
 
 Frame = tuple[int, bytes, int]
 """COB-ID, data, monotonic reception time in ns."""
@@ -84,7 +85,7 @@ class Pipeline:
             for cob_id, layout in frame_layouts(joint.channel.plan).items():
                 self._table[joint.channel.bus, cob_id] = (joint, layout)
         self._bus_up = {joint.channel.bus: False for joint in self._joints.values()}
-        self._sync_ns: dict[str, int] = {}
+        self._syncs = {joint.channel.bus: SyncHistory() for joint in self._joints.values()}
         self._awaited: set[int] = set()
         self.counters = PipelineCounters()
         self.last_image_ns: int | None = None
@@ -112,7 +113,7 @@ class Pipeline:
                 self.counters.misfit_frames += 1
             elif joint.condition not in _IN_SERVICE:
                 self.counters.unready_frames += 1
-            elif joint.sample.take(layout, data, self._sync_ns.get(bus, stamp_ns)):
+            elif joint.sample.take(layout, data, stamp_ns, self._syncs[bus]):
                 moved = joint.due = joint.fresh = True
                 self._awaited.discard(joint.channel.slot)
         if moved and not self._awaited:
@@ -122,7 +123,9 @@ class Pipeline:
         """SYNC on this bus, sent by us or by another node: a cycle that has not ended yet ends here."""
         if self._awaited and any(joint.due for joint in self._joints.values()):
             self._end_cycle(now_ns)
-        self._sync_ns[bus] = now_ns
+        if bus not in self._syncs:
+            return
+        self._syncs[bus].add(now_ns)
         for slot, joint in self._joints.items():
             if joint.channel.bus == bus:
                 if joint.fresh:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from trueangle.contract.encoder import counts_to_deg
 from trueangle.contract.units import DEG_PER_TURN
 from trueangle.core.frames import FrameLayout, Quantity
+from trueangle.core.sync_time import SampleTime, SyncHistory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,6 +27,8 @@ class JointSample:
     """Mutable state of one joint, touched by the pipeline alone."""
 
     __slots__ = (
+        "_sample_number",
+        "_sample_time",
         "frames_lost",
         "frames_received",
         "frames_repeated",
@@ -52,11 +55,13 @@ class JointSample:
         self.raw_deg: float | None = None
         self.stamp_ns: int | None = None
         self.sequence: int | None = None
+        self._sample_number = 0
+        self._sample_time = SampleTime()
         self.velocity_deg_s: float | None = None
         self.temperature_c: float | None = None
         self.temperature_stamp_ns: int | None = None
 
-    def take(self, layout: FrameLayout, data: bytes, stamp_ns: int) -> bool:
+    def take(self, layout: FrameLayout, data: bytes, received_ns: int, syncs: SyncHistory) -> bool:
         """Decode one frame of the right length; True when a new position came with it."""
         position: int | None = None
         sequence: int | None = None
@@ -67,23 +72,25 @@ class JointSample:
                 sequence = value
             else:
                 self.temperature_c = value * self.scale.degc_per_unit + self.scale.offset_c
-                self.temperature_stamp_ns = stamp_ns
+                self.temperature_stamp_ns = received_ns
         if position is None or not self._is_new(sequence):
             return False
-        self._move_to(position, stamp_ns)
+        self._move_to(position, self._sample_time.stamp_ns(self._sample_number, syncs, received_ns))
         return True
 
     def _is_new(self, sequence: int | None) -> bool:
         """Count received, lost and repeated position frames by their sequence number."""
-        modulus = self.scale.sequence_modulus
+        modulus, step = self.scale.sequence_modulus, 1
         if sequence is not None and modulus is not None:
             if self.sequence is not None:
                 step = (sequence - self.sequence) % modulus
                 if step == 0:
                     self.frames_repeated += 1
                     return False
-                self.frames_lost += step - 1
+                # A step of half the counter's range or more is a restart or a foreign frame, not so many losses.
+                self.frames_lost += step - 1 if step < modulus // 2 else 0
             self.sequence = sequence
+        self._sample_number += step
         self.frames_received += 1
         return True
 

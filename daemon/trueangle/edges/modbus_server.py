@@ -9,6 +9,7 @@ The image is swapped by reference: an answer is made of one image, whole.
 import asyncio
 import logging
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import cast
 
@@ -35,7 +36,8 @@ class ModbusLimits:
     bytes is answered with at most 5.4 KiB, so this and one answer are the most that a client can make wait."""
 
     image_age_s: float | None = None
-    """An image published longer ago is answered with exception 06 (server device busy); None: served for ever."""
+    """Before an answer from an image older than this, `refresh` is called; if the image is still older, the answer
+    is exception 06 (server device busy). None: served for ever."""
 
     def __post_init__(self) -> None:
         for name in ("connections", "connections_per_address", "idle_timeout_s", "unsent_bytes"):
@@ -61,8 +63,15 @@ class ModbusCounters:
 class ModbusTcpServer:
     """Serves the published register image, read-only, on one address."""
 
-    def __init__(self, host: str, port: int, unit_id: int, limits: ModbusLimits | None = None) -> None:
-        """`port` 0 takes a free one; `unit_id` 1..247 is answered beside 0 and 255."""
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        unit_id: int,
+        limits: ModbusLimits | None = None,
+        refresh: Callable[[], None] | None = None,
+    ) -> None:
+        """`port` 0 takes a free one; `unit_id` 1..247 is answered beside 0 and 255; `refresh` publishes anew."""
         if not 0 <= port <= 65535:
             raise ValueError(f"port: expected 0..65535, got {port}")
         if not 0 <= unit_id <= 255:
@@ -74,6 +83,7 @@ class ModbusTcpServer:
         self.counters = ModbusCounters()
         self._image: RegisterSource | None = None
         self._published_s = 0.0
+        self._refresh = refresh
         self._endpoint: asyncio.Server | None = None
         self._open: set[_Connection] = set()
         self._all_closed = asyncio.Event()
@@ -90,11 +100,17 @@ class ModbusTcpServer:
         self._published_s = time.monotonic()
 
     def image(self) -> RegisterSource | None:
-        """What is answered from; None before the first publication and when the last one is too old."""
+        """What is answered from; None before the first publication and when the last one is too old.
+
+        After a stall of the process the loop runs requests that waited before timers that are due: without the
+        refresh they would be answered from the image of before the stall.
+        """
         limit_s = self.limits.image_age_s
-        if limit_s is not None and time.monotonic() - self._published_s > limit_s:
-            return None
-        return self._image
+        if limit_s is None or time.monotonic() - self._published_s <= limit_s:
+            return self._image
+        if self._refresh is not None:
+            self._refresh()
+        return self._image if time.monotonic() - self._published_s <= limit_s else None
 
     async def start(self) -> int:
         """Listen; returns the bound port. Raises LinkError when the address cannot be had."""

@@ -17,11 +17,13 @@ from trueangle.contract.metadata import (
     ANGLE_INPUT,
     CORRECTION_OUTPUT,
     METADATA_KEY,
+    SEAL_KEY,
     TEMPERATURE_INPUT,
     UNCERTAINTY_OUTPUT,
     ModelMetadata,
     metadata_from_json,
     probe_disagreement,
+    seal_holds,
 )
 from trueangle.core.correction import ModelAnswer
 
@@ -61,8 +63,12 @@ def load_model(path: Path, *, pinned_sha256: str | None = None) -> OnnxModel:
     if _EXTERNAL_DATA in data:
         raise _refusal(where, "all weights inside the file", "a reference to external data")
     session = _session(data, where)
-    has_uncertainty = _check_signature(session, where)
-    text = cast("dict[str, str]", session.get_modelmeta().custom_metadata_map).get(METADATA_KEY)
+    try:
+        has_uncertainty = _check_signature(session, where)
+        entries = cast("dict[str, str]", session.get_modelmeta().custom_metadata_map)
+    except UnicodeDecodeError as error:
+        raise _refusal(where, "names and metadata in UTF-8", str(error), "is the file damaged?") from error
+    text = entries.get(METADATA_KEY)
     if text is None:
         raise _refusal(
             where, f"metadata under the key {METADATA_KEY}", "none", "was it written by trueangle train?"
@@ -70,6 +76,9 @@ def load_model(path: Path, *, pinned_sha256: str | None = None) -> OnnxModel:
     model = OnnxModel(
         session, metadata_from_json(text, source=f"{where} metadata"), sha256, has_uncertainty=has_uncertainty
     )
+    if not seal_holds(data, entries.get(SEAL_KEY)):
+        found = "another" if SEAL_KEY in entries else "none"
+        raise _refusal(where, f"the file's own SHA-256 under {SEAL_KEY}", found, "the file was changed or damaged")
     _replay(model, where)
     return model
 
@@ -100,7 +109,9 @@ def _session(data: bytes, where: str) -> Any:
     options.inter_op_num_threads = 1
     options.log_severity_level = 4
     try:
-        return runtime.InferenceSession(data, sess_options=options, providers=["CPUExecutionProvider"])
+        return runtime.InferenceSession(
+            data, sess_options=options, providers=["CPUExecutionProvider"], enable_fallback=False
+        )
     except Exception as error:  # a damaged file raises types that the runtime does not export
         found = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
         raise _refusal(where, "an ONNX model that ONNX Runtime can load", found, "is the file damaged?") from error
@@ -143,6 +154,11 @@ def _replay(model: OnnxModel, where: str) -> None:
     )
     if disagreement is not None:
         raise _refusal(where, "probes that come out as they were written", disagreement)
+    datum_deg, valid_c = model.metadata.datum_deg, model.metadata.valid_temperature_c
+    at_datum = model.correct(np.full(3, datum_deg), np.linspace(valid_c.minimum, valid_c.maximum, 3))
+    if np.any(at_datum.correction_arcsec != 0.0):
+        found = str(at_datum.correction_arcsec)
+        raise _refusal(where, f"a correction of 0 at the datum ({datum_deg:g} deg)", found)
     if model.correct(np.empty(0), np.empty(0)).correction_arcsec.shape != (0,):
         raise _refusal(where, "an empty result for no samples", "values")
 

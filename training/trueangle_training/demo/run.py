@@ -127,7 +127,18 @@ def _make_models(out: Path, joints: Sequence[Joint], console: Console) -> None:
         files = [str(stem.with_suffix(suffix)) for suffix in (".yaml", ".csv", ".onnx")]
         plan = str(example_path("plan.yaml"))
         simulate = ["simulate", "--joint", files[0], "--plan", plan, "--seed", str(number), "-o", files[1]]
-        train = ["train", files[1], "--joint", files[0], "-o", files[2], "--seed", str(number), "--threads", "1"]
+        train = [
+            "train",
+            files[1],
+            "--joint",
+            files[0],
+            "-o",
+            files[2],
+            "--seed",
+            str(number),
+            "--held-out",
+            "none",
+        ]
         logs = out / "logs"
         simulations.append((f"simulating {joint.name}", trueangle + simulate, logs / f"simulate-{number}.log"))
         trainings.append((f"training {joint.name}", trueangle + train, logs / f"train-{number}.log"))

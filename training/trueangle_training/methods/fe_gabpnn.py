@@ -1,308 +1,234 @@
-"""The paper's method, FE-GABPNN: Fourier series at one temperature, network started by a genetic algorithm.
+"""FE-GABPNN in the domain of the Fourier coefficients: the default, and how it differs from the paper.
 
-Jia et al. 2020 (Sensors 20, 2603), sections 3.1-3.3. The Fourier series takes the error at the base temperature, a
-2-n-1 network of temperature and angle what temperature adds to it:
+As in Jia et al. 2020: a Fourier expansion over the angle, a network with one tansig hidden layer for what
+temperature does, a genetic algorithm (the paper's operators, roulette on 1/F) for its initial weights,
+Levenberg-Marquardt for its training.
 
-    E(θ, T) = Fourier(θ) + span · network((T - T_min) / T_range, (θ - θ_min) / θ_range) + offset
-
-The paper subtracts the mean readings of each face from the targets, and its series of orders 0-11 passes through
-those 23 means. Here the series' own value at each reading's angle is subtracted. Where it passes through the means
-this is the same; with other angles, or angles that differ by counts, it keeps the sum true to what is served.
+Unlike it: the network gives the Fourier coefficients at a temperature instead of the error at an angle and a
+temperature, so the seam at 360 deg is like any other place. The constant part and one free offset a run are
+estimated from all runs, not from those at 20 degC. The noise is known from the repeats; fitness is the evidence
+with the output weights integrated out, so nothing is kept back for validation. And the result is the
+evidence-weighted average of networks with 2, 3 and 4 hidden nodes, started by the fittest and trained.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from enum import Enum
+from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from trueangle.contract.errors import ContractError, Fault
-from trueangle.contract.units import wrap_deg
-from trueangle_training.fourier import Floats, FourierSeries
-from trueangle_training.genetic import Evaluation, Evolution, GeneticOptions, evolve
-from trueangle_training.levenberg_marquardt import (
-    LevenbergMarquardtOptions,
-    StopReason,
-    levenberg_marquardt,
+from trueangle_training.genetic import Evaluation, GeneticOptions, evolve
+from trueangle_training.methods import Fit, Progress, TrainingReadings, no_progress
+from trueangle_training.methods.coefficient_network import (
+    HiddenUnits,
+    OutputLayers,
+    fitness,
+    for_both,
+    output_layers,
+    train,
 )
-from trueangle_training.methods import TrainingReadings
-from trueangle_training.methods.base_series import fit_base_series
-from trueangle_training.network import NetworkFit, hidden_node_count, parameter_count
+from trueangle_training.methods.linear import LinearFit, fit_linear, plan_notes, plan_settings
+from trueangle_training.methods.posterior import HarmonicPosterior, spread_nodes, widened
+from trueangle_training.methods.separable import TemperatureBasis
+from trueangle_training.methods.temperature_kernels import ContrastLikelihood
 
-Rows = NDArray[np.int64]
+Floats = NDArray[np.float64]
 
-
-class Fitness(Enum):
-    """What the genetic algorithm rates an individual by: eq. (7) over all readings, of which weights?"""
-
-    UNTRAINED = "untrained"
-    """The individual itself: the paper's text, to the letter."""
-    AFTER_LM = "after_lm"
-    """After `fitness_lm_steps` Levenberg-Marquardt steps from it; the start is the individual itself."""
-    AFTER_LM_HANDED_ON = "after_lm_handed_on"
-    """The same, and the best individual's trained weights are the start of the training."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FeGabpnnOptions:
-    """The paper's settings, and those it leaves open."""
-
-    base_temperature_c: float = 20.0
-    datum_deg: float = 0.0
-    """Where errors are counted from: the first face. In [0, 360)."""
-    order: int | None = None
-    """Harmonics of the base; None: min(11, (distinct angles - 1) // 2), as many as the angles allow."""
-    hidden_nodes: int = 20
-    genetic: GeneticOptions = field(default_factory=GeneticOptions)
-    fitness: Fitness = Fitness.AFTER_LM
-    """On simulated joints of 483 readings UNTRAINED gains nothing over random weights. AFTER_LM takes a tenth off
-    the true error and cuts the outliers, as picking the best of 780 random starts does; 4 s instead of 0.1 s."""
-    fitness_lm_steps: int = 20
-    training: LevenbergMarquardtOptions = field(default_factory=LevenbergMarquardtOptions)
-    """Epochs, patience and damping of the training proper."""
-    validation_fraction: float = 0.1
-    seed: int = 0
-    threads: int | None = 1
-    """Threads torch may use, set for the time of the training; None leaves torch as it is."""
-
-    def __post_init__(self) -> None:
-        ranges = (
-            ("base_temperature_c", bool(np.isfinite(self.base_temperature_c)), "a finite temperature"),
-            ("datum_deg", 0.0 <= self.datum_deg < 360.0, "0 to below 360"),
-            ("order", self.order is None or self.order >= 1, "1 or more, or None"),
-            ("hidden_nodes", self.hidden_nodes >= 1, "1 or more"),
-            ("fitness_lm_steps", self.fitness_lm_steps >= 1, "1 or more"),
-            ("validation_fraction", 0.0 < self.validation_fraction < 1.0, "above 0 and below 1"),
-            ("threads", self.threads is None or self.threads >= 1, "1 or more, or None"),
-        )
-        faults = [
-            Fault(where=name, expected=expected, found=str(getattr(self, name)))
-            for name, legal, expected in ranges
-            if not legal
-        ]
-        if faults:
-            raise ContractError(faults)
+SCALE_C = 10.0
+GENE_RANGE = 2.0
+"""First genes are uniform within it: slopes up to one saturation in 5 degC."""
+SELECTION_PRESSURE = 0.2
+"""Roulette probabilities are proportional to exp(0.2 fitness): nats are too steep as they are."""
+STARTS = 20
+NEGLIGIBLE_WEIGHT = 1e-3
+DOUBT = 0.3
+"""How far the uncertainty counts on the kernels being right where the networks differ from them; without, one
+network family is too sure of shapes that it cannot take."""
+SURELY_BETTER_NATS = 10.0
+VARIANT_NOTE = (
+    "a variant of the paper's FE-GABPNN: the network gives Fourier coefficients over temperature, run offsets and "
+    "noise come from all runs, and evidence takes the place of a validation set"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scaling:
-    """Eq. (6) for one quantity: scaled = (value - minimum) / span."""
+class FeGabpnnSettings:
+    """Of the genetic algorithm and the average."""
 
-    minimum: float
-    span: float
-    """Maximum minus minimum, above 0."""
+    hidden_nodes: tuple[int, ...] = (2, 3, 4)
+    individuals: int = 30
+    generations: int = 25
 
-    @staticmethod
-    def of(values: Floats) -> "Scaling":
-        """The scaling that takes the values to [0, 1]; a constant is taken to 0."""
-        minimum = float(values.min())
-        span = float(values.max()) - minimum
-        return Scaling(minimum=minimum, span=span if span > 0.0 else 1.0)
 
-    def scaled(self, values: Floats) -> Floats:
-        """Values as the network sees them."""
-        return (values - self.minimum) / self.span
+DEFAULT_SETTINGS = FeGabpnnSettings()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FeGabpnnModel:
-    """A trained model: an `ErrorModel` in NumPy, and all that the exported graph is made of."""
+class FeGabpnn:
+    """The `Method`."""
 
-    base: FourierSeries
-    """Error at the base temperature."""
-    parameters: tuple[float, ...]
-    """The network's 4 n + 1 parameters in the order of `network`."""
-    angle_scaling: Scaling
-    temperature_scaling: Scaling
-    target_scaling: Scaling
-    """Of what the network is trained to give, in arcsec."""
-    datum_deg: float
+    settings: FeGabpnnSettings = DEFAULT_SETTINGS
+    name: str = "fe-gabpnn"
+    summary: str = "Fourier series + GA-started LM network of the coefficients over temperature"
 
-    @property
-    def hidden_nodes(self) -> int:
-        """Hidden nodes of the network."""
-        return hidden_node_count(len(self.parameters))
-
-    def error_arcsec(self, angle_deg: Floats, temperature_c: Floats) -> Floats:
-        """E(θ, T) - E(datum, T) at each pair, shape [n]; exactly 0 at the datum, whatever the temperature.
-
-        The offset of eq. (6) and φ drop out of the difference.
-        """
-        angle_deg = wrap_deg(np.asarray(angle_deg, dtype=np.float64))
-        datum_deg = np.full_like(angle_deg, self.datum_deg)
-        activation = self._activation(angle_deg, temperature_c) - self._activation(datum_deg, temperature_c)
-        nodes = self.hidden_nodes
-        output_weights = np.array(self.parameters[3 * nodes : 4 * nodes])
-        thermal = activation @ output_weights * self.target_scaling.span
-        steady = self.base.evaluate(angle_deg) - self.base.evaluate(datum_deg)
-        # Zero by rule: equal roundings on both sides of a difference are not promised.
-        return np.where(angle_deg == self.datum_deg, 0.0, steady + thermal)
-
-    def _activation(self, angle_deg: Floats, temperature_c: Floats) -> Floats:
-        """b_h of eqs. (2) and (4), shape [n, hidden nodes]."""
-        by_temperature, by_angle, bias = np.array(self.parameters[: 3 * self.hidden_nodes]).reshape(3, -1)
-        scaled_temperature = self.temperature_scaling.scaled(temperature_c)
-        scaled_angle = self.angle_scaling.scaled(angle_deg)
-        argument = np.multiply.outer(scaled_temperature, by_temperature)
-        argument += np.multiply.outer(scaled_angle, by_angle) - bias
-        return np.tanh(argument)
+    def fit(self, readings: TrainingReadings, *, seed: int = 0, progress: Progress = no_progress) -> Fit:
+        """Train; the same readings and seed give the same model."""
+        linear = fit_linear(readings)
+        networks = fit_networks(linear, seed=seed, settings=self.settings, progress=progress)
+        settings = {
+            **plan_settings(linear),
+            "individuals": self.settings.individuals,
+            "generations": self.settings.generations,
+            "hidden_nodes": list(self.settings.hidden_nodes),
+            "share_of_hidden_nodes": [round(share, 6) for share in networks.shares],
+            "networks": networks.count,
+        }
+        notes = (VARIANT_NOTE, *plan_notes(linear))
+        lead = linear.mixture.log_evidence - max(networks.log_evidence)
+        if lead > SURELY_BETTER_NATS:
+            doubt = (
+                f"these readings speak by {lead:.0f} nats for shapes over temperature that so small a network "
+                "cannot take: train with --method best and compare"
+            )
+            notes = (*notes, doubt)
+        return Fit(model=linear.model_of(doubted(linear, networks)), notes=notes, settings=settings)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FeGabpnnTraining:
-    """A model and how it came about."""
-
-    model: FeGabpnnModel
-    residual_rms_arcsec: float
-    """Of all readings, from E(θ, T) itself: the paper's figure. It says little of the true error."""
-    validation_rms_arcsec: float
-    training_readings: int
-    validation_readings: int
-    epochs: int
-    stop_reason: StopReason
-    genetic_start_rms_arcsec: float
-    """Root of the smallest fitness among the first, random individuals."""
-    genetic_best_rms_arcsec: float
-    """Root of the smallest fitness of all generations: what the genetic algorithm made of it."""
-
-
-def train_fe_gabpnn(
-    readings: TrainingReadings,
-    options: FeGabpnnOptions,
-    progress: Callable[[int, int], None] | None = None,
-) -> FeGabpnnTraining:
-    """Train on one joint's readings: the same readings, options and machine give the same model to the last bit.
-
-    `progress` is told (steps done, all steps); steps are generations and the training. UnsuitableReadingsError
-    lists what the readings lack.
-    """
-    threads_before = torch.get_num_threads()
-    if options.threads is not None:
-        torch.set_num_threads(options.threads)
-    try:
-        return _train(readings, options, progress)
-    finally:
-        torch.set_num_threads(threads_before)
+def make(base_temperature_c: float) -> FeGabpnn:
+    """The method; no temperature is its base."""
+    del base_temperature_c
+    return FeGabpnn()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Problem:
-    """What the network is to learn, scaled by eq. (6), and the model around it."""
+class NetworkAverage:
+    """The averaged networks and what they were weighed by."""
 
-    base: FourierSeries
-    angle_scaling: Scaling
-    temperature_scaling: Scaling
-    target_scaling: Scaling
-    inputs: torch.Tensor
-    target: torch.Tensor
-
-    def fit(self, rows: Rows) -> NetworkFit:
-        index = torch.from_numpy(rows)
-        return NetworkFit(inputs=self.inputs[index], target=self.target[index])
-
-    @property
-    def all_readings(self) -> NetworkFit:
-        return NetworkFit(inputs=self.inputs, target=self.target)
-
-    def rms_arcsec(self, mean_square: float) -> float:
-        return mean_square**0.5 * self.target_scaling.span
+    posterior: HarmonicPosterior
+    shares: tuple[float, ...]
+    """Of each number of hidden nodes."""
+    log_evidence: tuple[float, ...]
+    """Best fitness of each number of hidden nodes, in nats."""
+    count: int
+    """Networks that count in the average."""
 
 
-def _train(
-    readings: TrainingReadings, options: FeGabpnnOptions, progress: Callable[[int, int], None] | None
-) -> FeGabpnnTraining:
-    problem = _pose(readings, options)
-    rng = np.random.default_rng(options.seed)
-    training_rows, validation_rows = _split(len(readings), options.validation_fraction, rng)
-    training, validation = problem.fit(training_rows), problem.fit(validation_rows)
-    steps = options.genetic.generations + 2
-    started = _Initialisation(problem=problem, training=training, options=options)
-    evolution = evolve(
-        started.evaluate,
-        genes=parameter_count(options.hidden_nodes),
-        options=options.genetic,
-        rng=rng,
-        progress=None if progress is None else lambda done, _: progress(done, steps),
+def doubted(linear: LinearFit, networks: NetworkAverage) -> HarmonicPosterior:
+    """The networks' mean, with the doubt that the kernels cast on it."""
+    return widened(networks.posterior, linear.posterior, DOUBT)
+
+
+def fit_networks(
+    linear: LinearFit,
+    *,
+    seed: int = 0,
+    settings: FeGabpnnSettings = DEFAULT_SETTINGS,
+    progress: Progress = no_progress,
+) -> NetworkAverage:
+    """Evolve, train and average networks on a campaign that `linear` has reduced."""
+    nodes_c = linear.data.nodes_c
+    middle_c = float(nodes_c.mean())
+    hidden = HiddenUnits(contrast=linear.mixture.grid.contrast, t=(nodes_c - middle_c) / SCALE_C)
+    likelihood = linear.mixture.likelihood
+    rng = np.random.default_rng(seed)
+    populations: list[tuple[Floats, OutputLayers]] = []
+    for number, units in enumerate(settings.hidden_nodes):
+        starts = _evolved(likelihood, hidden, units, settings, rng)
+        first = output_layers(likelihood, hidden, starts)
+        scaled = first.mean / np.tile(hidden.rms(starts), 2)[:, None, :]
+        trained = train(likelihood, hidden, starts, scaled)
+        genes = np.concatenate([starts, trained])
+        populations.append((genes, output_layers(likelihood, hidden, genes)))
+        progress(number + 1, len(settings.hidden_nodes))
+    best = np.array([layers.fitness.max() for _, layers in populations])
+    shares = np.exp(best - best.max())
+    shares /= shares.sum()
+    return _averaged(linear, hidden, populations, shares, best)
+
+
+def _evolved(
+    likelihood: ContrastLikelihood,
+    hidden: HiddenUnits,
+    units: int,
+    settings: FeGabpnnSettings,
+    rng: np.random.Generator,
+) -> Floats:
+    """The fittest distinct hidden layers of all generations, [STARTS, 2 units]."""
+    seen: list[Floats] = []
+    worths: list[Floats] = []
+
+    def evaluate(individuals: Floats) -> Evaluation:
+        worth = fitness(likelihood, hidden, individuals * GENE_RANGE)
+        seen.append(individuals.copy())
+        worths.append(worth)
+        reference = float(worths[0].max())
+        exponent = np.clip(-SELECTION_PRESSURE * (worth - reference), -600.0, 600.0)
+        return Evaluation(individuals=individuals, fitness=np.exp(exponent))
+
+    options = GeneticOptions(individuals=settings.individuals, generations=settings.generations)
+    evolve(evaluate, genes=2 * units, options=options, rng=rng)
+    individuals, first = np.unique(np.concatenate(seen), axis=0, return_index=True)
+    fittest = np.argsort(-np.concatenate(worths)[first], kind="stable")[:STARTS]
+    return individuals[fittest] * GENE_RANGE
+
+
+def _averaged(
+    linear: LinearFit,
+    hidden: HiddenUnits,
+    populations: list[tuple[Floats, OutputLayers]],
+    shares: Floats,
+    best: Floats,
+) -> NetworkAverage:
+    """All networks of all sizes with weight exp(fitness) within a size and the size's share."""
+    likelihood, orders = linear.mixture.likelihood, len(linear.data.orders)
+    nodes_c = spread_nodes(linear.data.nodes_c)
+    t = (nodes_c - float(linear.data.nodes_c.mean())) / SCALE_C
+    ones = np.kron(np.eye(2), np.ones((t.size, 1)))
+    slopes: list[Floats] = []
+    offsets: list[Floats] = []
+    rows: list[Floats] = []
+    constant = np.zeros((orders, 2))
+    mean = np.zeros((orders, 2 * t.size))
+    second = np.zeros((orders, 2 * t.size, 2 * t.size))
+    for (genes, layers), share in zip(populations, shares, strict=True):
+        weight = np.exp(layers.fitness - layers.fitness.max())
+        weight[weight < NEGLIGIBLE_WEIGHT] = 0.0
+        weight *= share / weight.sum()
+        design = hidden.both(genes)
+        rms = hidden.rms(genes)
+        middles = hidden.activation(genes, hidden.t).mean(axis=1)
+        for member in np.flatnonzero(weight):
+            unit_weights = layers.mean[member].reshape(orders, 2, -1) / rms[member]
+            own = weight[member]
+            contrasts = layers.mean[member] @ design[member].T
+            fall = (likelihood.constant_slope @ contrasts[:, :, None])[:, :, 0]
+            constant += own * (likelihood.constant - fall - unit_weights @ middles[member])
+            slope, offset = np.split(genes[member], 2)
+            slopes.append(slope)
+            offsets.append(offset)
+            rows.append(own * unit_weights.transpose(2, 0, 1).reshape(slope.size, -1))
+            at = (hidden.activation(genes[member][None], t)[0] - middles[member]) / rms[member]
+            reach = for_both(at) - ones @ likelihood.constant_slope @ design[member]
+            level = likelihood.constant @ ones.T + (reach @ layers.mean[member][:, :, None])[:, :, 0]
+            spread = reach @ layers.covariance[member] @ reach.swapaxes(-1, -2)
+            mean += own * level
+            second += own * (spread + level[:, :, None] * level[:, None, :])
+    covariance = second - mean[:, :, None] * mean[:, None, :] + ones @ likelihood.constant_covariance @ ones.T
+    basis = TemperatureBasis(
+        centre_c=float(linear.data.nodes_c.mean()),
+        scale_c=SCALE_C,
+        powers=(0,),
+        tanh_slope=tuple(np.concatenate(slopes).tolist()),
+        tanh_offset=tuple(np.concatenate(offsets).tolist()),
     )
-    start = torch.from_numpy(started.start_of(evolution))[None]
-    outcome = levenberg_marquardt(training, start, options.training, validation)
-    if progress is not None:
-        progress(steps, steps)
-    return FeGabpnnTraining(
-        model=FeGabpnnModel(
-            base=problem.base,
-            parameters=tuple(outcome.parameters[0].tolist()),
-            angle_scaling=problem.angle_scaling,
-            temperature_scaling=problem.temperature_scaling,
-            target_scaling=problem.target_scaling,
-            datum_deg=options.datum_deg,
-        ),
-        residual_rms_arcsec=problem.rms_arcsec(problem.all_readings.mean_square(outcome.parameters).item()),
-        validation_rms_arcsec=problem.rms_arcsec(validation.mean_square(outcome.parameters).item()),
-        training_readings=training_rows.size,
-        validation_readings=validation_rows.size,
-        epochs=outcome.epochs[0],
-        stop_reason=outcome.stop_reasons[0],
-        genetic_start_rms_arcsec=problem.rms_arcsec(float(evolution.history[0])),
-        genetic_best_rms_arcsec=problem.rms_arcsec(evolution.best_fitness),
+    posterior = HarmonicPosterior(
+        basis=basis,
+        weights_arcsec=np.concatenate([constant.reshape(1, -1), *rows]),
+        nodes_c=nodes_c,
+        covariance=covariance,
     )
-
-
-def _pose(readings: TrainingReadings, options: FeGabpnnOptions) -> _Problem:
-    """The Fourier base, eq. (1), and the scaled remainder that is left to the network."""
-    angle_deg = wrap_deg(readings.angle_deg)
-    base = fit_base_series(readings, base_temperature_c=options.base_temperature_c, order=options.order)
-    remainder_arcsec = readings.error_arcsec - base.evaluate(angle_deg)
-    angle_scaling, temperature_scaling = Scaling.of(angle_deg), Scaling.of(readings.temperature_c)
-    target_scaling = Scaling.of(remainder_arcsec)
-    inputs = np.stack(
-        [temperature_scaling.scaled(readings.temperature_c), angle_scaling.scaled(angle_deg)], axis=1
+    return NetworkAverage(
+        posterior=posterior,
+        shares=tuple(shares.tolist()),
+        log_evidence=tuple(best.tolist()),
+        count=len(slopes),
     )
-    return _Problem(
-        base=base,
-        angle_scaling=angle_scaling,
-        temperature_scaling=temperature_scaling,
-        target_scaling=target_scaling,
-        inputs=torch.from_numpy(inputs),
-        target=torch.from_numpy(target_scaling.scaled(remainder_arcsec)),
-    )
-
-
-def _split(readings: int, validation_fraction: float, rng: np.random.Generator) -> tuple[Rows, Rows]:
-    """Rows for training and for validation: at random, at least one of each."""
-    order = rng.permutation(readings)
-    kept_apart = min(max(round(validation_fraction * readings), 1), readings - 1)
-    return np.sort(order[kept_apart:]), np.sort(order[:kept_apart])
-
-
-class _Initialisation:
-    """Rates individuals, and knows which weights the best of them hands to the training."""
-
-    def __init__(self, *, problem: _Problem, training: NetworkFit, options: FeGabpnnOptions) -> None:
-        self._rated_on = problem.all_readings
-        self._trained_on = training
-        self._fitness = options.fitness
-        self._steps = LevenbergMarquardtOptions(
-            max_epochs=options.fitness_lm_steps,
-            initial_damping=options.training.initial_damping,
-            accepted_factor=options.training.accepted_factor,
-            rejected_factor=options.training.rejected_factor,
-        )
-
-    def evaluate(self, individuals: Floats) -> Evaluation:
-        """Eq. (7) over all readings, those kept apart for validation included, as the paper has it."""
-        parameters = torch.from_numpy(individuals)
-        if self._fitness is not Fitness.UNTRAINED:
-            parameters = self._after_steps(parameters)
-        return Evaluation(individuals=individuals, fitness=self._rated_on.mean_square(parameters).numpy())
-
-    def start_of(self, evolution: Evolution) -> Floats:
-        """The training's initial parameters, [4 n + 1]."""
-        if self._fitness is not Fitness.AFTER_LM_HANDED_ON:
-            return evolution.best
-        return self._after_steps(torch.from_numpy(evolution.best)[None])[0].numpy()
-
-    def _after_steps(self, parameters: torch.Tensor) -> torch.Tensor:
-        return levenberg_marquardt(self._trained_on, parameters, self._steps).parameters

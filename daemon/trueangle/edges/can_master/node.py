@@ -21,6 +21,7 @@ from trueangle.core.node_setup import (
     ENCODER_OBJECTS,
     ERROR_REGISTER,
     HEARTBEAT_PRODUCER,
+    PHASE_OBJECTS,
     PROFILE_SERIAL,
     STANDARD_TPDOS,
     Address,
@@ -184,12 +185,24 @@ class NodeSupervisor:
             ) from None
 
     async def _watch(self) -> NoReturn:
+        check_s = time.monotonic() + self._timing.phase_check_s
         while True:
             try:
                 async with asyncio.timeout(self._heartbeat_limit_s):
                     await self._stir()
             except TimeoutError:
                 raise LinkError(f"no heartbeat for {self._heartbeat_limit_s:g} s") from None
+            if time.monotonic() >= check_s:
+                await self._check_phase()
+                check_s = time.monotonic() + self._timing.phase_check_s
+
+    async def _check_phase(self) -> None:
+        """Another tool may preset or rescale the encoder while it runs; no frame would tell."""
+        assert self._settings is not None  # noqa: S101 - a node is watched after it was identified
+        for name in PHASE_OBJECTS:
+            before, now = getattr(self._settings, name), await self._read(ENCODER_OBJECTS[name])
+            if now != before:
+                raise NodeFault(f"{name} was changed in service from {before} to {now}")
 
     async def _pause(self) -> None:
         """Wait before the next attempt; a boot-up message, an error reset or the bus's return cut it short."""

@@ -39,6 +39,8 @@ class MasterTiming:
     """So many heartbeats may fail to come before a node is lost."""
     backoff_first_s: float = 0.2
     backoff_limit_s: float = 2.0
+    phase_check_s: float = 1.0
+    """How often the objects that move the encoder's phase are read again in service."""
     stable_s: float = 10.0
     """A node that was in service so long starts again with the shortest pause."""
 

@@ -1,0 +1,369 @@
+"""What a campaign says of the Fourier coefficients at a few temperatures: all that the better methods need.
+
+F equally spaced faces are a constant and cos, sin of the orders 1 .. (F - 1) / 2, orthogonal and complete. A free
+offset of each run takes up the constant, so a complete run is its discrete Fourier transform: F - 1 numbers with
+independent errors of variance 2 σ² / F. The harmonics decouple, and the campaign becomes a short series over
+temperature for each coefficient.
+
+Shifted repeats, missing readings, unequal faces and sweeps have no such transform. There the same coefficients at
+the same temperature nodes are the unknowns of a general linear model with one free offset a zero group, and the
+harmonics are told apart by their priors (`JointLikelihood.marginal`). On complete campaigns both ways agree.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueangle.contract.errors import Fault
+from trueangle.contract.units import angle_difference_deg, wrap_deg
+from trueangle_training.methods import TrainingReadings, UnsuitableReadingsError, distinct_angle_count
+from trueangle_training.methods.separable import harmonics
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+HIGHEST_ORDER = 24
+"""Joints show hardly anything above; each order costs two unknowns a temperature."""
+WORST_CONDITION = 5.0
+"""Of the harmonics' design: 1 for equal faces, 4.7 with one of 23 missing. Orders beyond drown in noise."""
+SAME_TEMPERATURE_C = 0.6
+"""Temperatures that span less are one node: set temperatures are met within tenths of a degree."""
+STEADY_RUN_C = 0.3
+MOST_NODES = 15
+REGULAR_FACE_DEG = 0.1
+"""Readings this near their face are moved to it by the slope of the error; further off, its bend would count."""
+FEWEST_NOISE_FREEDOMS = 30
+SMALLEST_NOISE_ARCSEC = 1e-3
+"""Far below any reading's resolution; keeps weights finite for readings without noise."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CoefficientLikelihood:
+    """Gaussian likelihood of each harmonic's coefficients at the nodes, the other harmonics and offsets taken out.
+
+    The values of one harmonic are x = (cos at every node, sin at every node), shape [2 m]; up to a constant
+    log L = -x'Px / 2 + x'q.
+    """
+
+    precision: Floats
+    """P: [orders, 2 m, 2 m], or [1, 2 m, 2 m] where it is the same for all."""
+    information: Floats
+    """q: [orders, 2 m]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JointLikelihood:
+    """The same for all harmonics together, where the plan does not tell them apart by itself."""
+
+    precision: Floats
+    """[orders, 2 m, orders, 2 m]."""
+    information: Floats
+    """[orders, 2 m]."""
+
+    def marginal(self, factor: Floats) -> CoefficientLikelihood:
+        """Each harmonic's likelihood with the others integrated over x = B w, w ~ N(0, I), flat where B says so.
+
+        `factor` [orders, 2 m, 2 m], invertible: its first two columns are the constant values, whose size is left
+        free; the other columns are a square root of the prior covariance. The inverse of one harmonic's posterior
+        covariance is its own prior's precision plus what all readings say of it, so one inversion serves all.
+        """
+        orders, size = self.information.shape
+        covariance, mean = self.posterior(factor)
+        prior = np.eye(size)
+        prior[:2, :2] = 0.0
+        to_values = np.linalg.inv(factor)
+        precision, information = np.empty((orders, size, size)), np.empty((orders, size))
+        for order in range(orders):
+            own = np.linalg.inv(covariance[order, :, order])
+            precision[order] = to_values[order].T @ (own - prior) @ to_values[order]
+            information[order] = to_values[order].T @ (own @ mean[order])
+        return CoefficientLikelihood(precision=(precision + precision.swapaxes(1, 2)) / 2, information=information)
+
+    def posterior(self, factor: Floats) -> tuple[Floats, Floats]:
+        """Covariance [orders, 2 m, orders, 2 m] and mean [orders, 2 m] of all w."""
+        orders, size = self.information.shape
+        weighted = np.einsum("aimj,mjk->aimk", self.precision, factor, optimize=True)
+        inner = np.einsum("aik,aimj->akmj", factor, weighted, optimize=True).reshape(orders * size, -1)
+        prior = np.ones((orders, size))
+        prior[:, :2] = 0.0
+        covariance = np.linalg.inv(inner + np.diag(prior.ravel()))
+        mean = covariance @ np.einsum("aik,ai->ak", factor, self.information).ravel()
+        return covariance.reshape(orders, size, orders, size), mean.reshape(orders, size)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CoefficientReadings:
+    """A campaign reduced to Fourier coefficients at temperature nodes."""
+
+    orders: tuple[int, ...]
+    nodes_c: Floats
+    """[m], rising, two or more."""
+    sigma_arcsec: float
+    """Standard deviation of one reading."""
+    sigma_freedoms: int
+    """Degrees of freedom behind it."""
+    decoupled: CoefficientLikelihood | None
+    """None: the plan couples the harmonics."""
+    joint: JointLikelihood | None
+    """None: the plan is complete and regular."""
+
+
+def reduce_to_coefficients(readings: TrainingReadings) -> CoefficientReadings:
+    """Complete regular campaigns by the transform, all others by the general linear model.
+
+    UnsuitableReadingsError lists what is missing: angles, temperatures, or repeats to know the noise from.
+    """
+    regular = regular_faces(readings)
+    if regular is not None:
+        return reduce_regular(readings, regular)
+    return reduce_general(readings)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RegularFaces:
+    """Equally spaced faces, each read once in every run, at a steady temperature."""
+
+    count: int
+    first_deg: float
+
+
+def regular_faces(readings: TrainingReadings) -> RegularFaces | None:
+    """The faces of a complete regular campaign; None for any other plan."""
+    group = readings.offset_group
+    sizes = np.bincount(group)
+    count = int(sizes[0])
+    if count < 3 or (sizes != count).any() or count > 2 * HIGHEST_ORDER + 2:
+        return None
+    pitch_deg = 360.0 / count
+    first_deg = float(readings.angle_deg[0])
+    steps = angle_difference_deg(readings.angle_deg, first_deg) / pitch_deg
+    face = np.round(steps).astype(np.int64)
+    off_deg = (steps - face) * pitch_deg
+    first_deg += float(np.mean(off_deg))
+    if np.abs(off_deg - np.mean(off_deg)).max() > REGULAR_FACE_DEG:
+        return None
+    if np.unique(np.stack([group, face % count]), axis=1).shape[1] != len(readings):
+        return None
+    means = np.bincount(group, weights=readings.temperature_c) / count
+    if np.abs(readings.temperature_c - means[group]).max() > STEADY_RUN_C:
+        return None
+    _, nodes_c = _temperature_clusters(means)
+    return None if nodes_c.size > MOST_NODES else RegularFaces(count=count, first_deg=wrap_deg(first_deg))
+
+
+def reduce_regular(readings: TrainingReadings, faces: RegularFaces) -> CoefficientReadings:
+    """The discrete Fourier transform of each run, averaged over the runs of a node."""
+    orders = tuple(range(1, min((faces.count - 1) // 2, HIGHEST_ORDER) + 1))
+    group = readings.offset_group
+    runs = int(group.max()) + 1
+    pitch_deg = 360.0 / faces.count
+    face = np.round(angle_difference_deg(readings.angle_deg, faces.first_deg) / pitch_deg)
+    at_face = harmonics(faces.first_deg + face * pitch_deg, orders)
+    moved = harmonics(readings.angle_deg, orders) - at_face
+    coefficients = np.zeros((runs, at_face.shape[1]))
+    # Readings lie some arcminutes beside the faces, as far as the error itself: the second pass moves them there.
+    for _ in range(3):
+        at_faces_arcsec = readings.error_arcsec - np.einsum("ic,ic->i", moved, coefficients[group])
+        coefficients = np.zeros_like(coefficients)
+        np.add.at(coefficients, group, at_face * at_faces_arcsec[:, None] * (2.0 / faces.count))
+    means_c = np.bincount(group, weights=readings.temperature_c) / faces.count
+    node, nodes_c = _temperature_clusters(means_c)
+    _check_temperatures(nodes_c)
+    repeats = np.bincount(node)
+    mean, at_node = np.zeros((nodes_c.size, coefficients.shape[1])), coefficients
+    off_node = spline_interpolation(nodes_c, means_c) - np.eye(nodes_c.size)[node]
+    # Runs miss the set temperature by a tenth of a degree: moved to the node, they differ by noise alone.
+    for _ in range(2):
+        at_node = coefficients - off_node @ mean
+        mean = np.zeros_like(mean)
+        np.add.at(mean, node, at_node / repeats[node][:, None])
+    variance, freedoms = _noise_of_repeats(at_node, mean, node, nodes_c)
+    sigma_arcsec = max(float(np.sqrt(variance * faces.count / 2.0)), SMALLEST_NOISE_ARCSEC)
+    weight = np.tile(repeats * faces.count / (2.0 * sigma_arcsec**2), 2)
+    by_order = mean.T.reshape(len(orders), 2 * nodes_c.size)
+    return CoefficientReadings(
+        orders=orders,
+        nodes_c=nodes_c,
+        sigma_arcsec=sigma_arcsec,
+        sigma_freedoms=freedoms,
+        decoupled=CoefficientLikelihood(precision=np.diag(weight)[None], information=by_order * weight),
+        joint=None,
+    )
+
+
+def _noise_of_repeats(coefficients: Floats, mean: Floats, node: Integers, nodes_c: Floats) -> tuple[float, int]:
+    """Variance of one run's coefficient: from repeats, else from what a cubic over temperature leaves."""
+    count = coefficients.shape[1]
+    freedoms = (node.size - nodes_c.size) * count
+    if freedoms >= FEWEST_NOISE_FREEDOMS:
+        return float(np.sum((coefficients - mean[node]) ** 2)) / freedoms, freedoms
+    powers = min(4, nodes_c.size)
+    freedoms = (node.size - powers) * count
+    if freedoms < FEWEST_NOISE_FREEDOMS:
+        raise UnsuitableReadingsError([_no_noise_fault(freedoms)])
+    t = (nodes_c[node] - nodes_c.mean()) / np.ptp(nodes_c)
+    design = t[:, None] ** np.arange(powers)
+    left = coefficients - design @ np.linalg.lstsq(design, coefficients, rcond=None)[0]
+    return float(np.sum(left**2)) / freedoms, freedoms
+
+
+def reduce_general(readings: TrainingReadings) -> CoefficientReadings:
+    """The normal equations of coefficients at nodes, one free offset a zero group taken out by centring."""
+    _check_angles(readings)
+    group = readings.offset_group
+    orders = _determined_orders(readings)
+    nodes_c = temperature_nodes(readings.temperature_c)
+    _check_temperatures(nodes_c)
+    by_angle = harmonics(wrap_deg(readings.angle_deg), orders)
+    interpolation = spline_interpolation(nodes_c, readings.temperature_c)
+    design = (by_angle[:, :, None] * interpolation[:, None, :]).reshape(len(readings), -1)
+    design = centred(design, group)
+    error = centred(readings.error_arcsec[:, None], group)[:, 0]
+    sigma_arcsec, freedoms = _residual_noise(readings, by_angle, design, error, group)
+    size = 2 * nodes_c.size
+    return CoefficientReadings(
+        orders=orders,
+        nodes_c=nodes_c,
+        sigma_arcsec=sigma_arcsec,
+        sigma_freedoms=freedoms,
+        decoupled=None,
+        joint=JointLikelihood(
+            precision=(design.T @ design / sigma_arcsec**2).reshape(len(orders), size, len(orders), size),
+            information=(design.T @ error / sigma_arcsec**2).reshape(len(orders), size),
+        ),
+    )
+
+
+def _residual_noise(
+    readings: TrainingReadings, by_angle: Floats, design: Floats, error: Floats, group: Integers
+) -> tuple[float, int]:
+    """Sigma from what free values at all nodes leave; where that is too little, what a smooth curve leaves."""
+    groups = int(group.max()) + 1
+    candidates = [design]
+    if np.ptp(readings.temperature_c) > SAME_TEMPERATURE_C:
+        few_c = np.linspace(readings.temperature_c.min(), readings.temperature_c.max(), 4)
+        smooth = spline_interpolation(few_c, readings.temperature_c)
+        candidates.append(centred((by_angle[:, :, None] * smooth[:, None, :]).reshape(error.size, -1), group))
+    freedoms = 0
+    for matrix in candidates:
+        solution, _, rank, _ = np.linalg.lstsq(matrix, error, rcond=1e-8)
+        freedoms = error.size - groups - int(rank)
+        if freedoms >= FEWEST_NOISE_FREEDOMS:
+            variance = float(np.sum((error - matrix @ solution) ** 2)) / freedoms
+            return max(float(np.sqrt(variance)), SMALLEST_NOISE_ARCSEC), freedoms
+    raise UnsuitableReadingsError([_no_noise_fault(freedoms)])
+
+
+def _no_noise_fault(freedoms: int) -> Fault:
+    return Fault(
+        where="readings",
+        expected=f"repeats that show the noise: {FEWEST_NOISE_FREEDOMS} readings or more beyond the model's need",
+        found=f"{max(freedoms, 0)}",
+        advice="measure each temperature twice or more",
+    )
+
+
+def _check_angles(readings: TrainingReadings) -> None:
+    places = distinct_angle_count(readings.angle_deg)
+    if places < 3:
+        raise UnsuitableReadingsError(
+            [
+                Fault(
+                    where="angle_deg",
+                    expected="at least 3 distinct angles, for harmonic 1",
+                    found=str(places),
+                    advice="measure complete turns over a polygon",
+                )
+            ]
+        )
+
+
+def _check_temperatures(nodes_c: Floats) -> None:
+    if nodes_c.size < 2 or np.ptp(nodes_c) < 1.0:
+        found = f"all between {nodes_c.min():.2f} and {nodes_c.max():.2f} degC"
+        advice = "measure at more temperatures, or use a method without temperature"
+        expected = "temperatures that differ by 1 degC or more"
+        raise UnsuitableReadingsError(
+            [Fault(where="temperature_c", expected=expected, found=found, advice=advice)]
+        )
+
+
+def _determined_orders(readings: TrainingReadings) -> tuple[int, ...]:
+    """As many orders as the angles tell apart, from each other and from the offsets."""
+    highest = min(HIGHEST_ORDER, (distinct_angle_count(readings.angle_deg) - 1) // 2)
+    group = readings.offset_group
+    for order in range(highest, 0, -1):
+        orders = tuple(range(1, order + 1))
+        design = centred(harmonics(wrap_deg(readings.angle_deg), orders), group)
+        singular = np.linalg.svd(design, compute_uv=False)
+        if singular[-1] * WORST_CONDITION >= singular[0]:
+            return orders
+    raise UnsuitableReadingsError(
+        [
+            Fault(
+                where="angle_deg",
+                expected="angles all around the circle",
+                found=f"{distinct_angle_count(readings.angle_deg)} places that do not determine harmonic 1",
+                advice="measure in the gaps",
+            )
+        ]
+    )
+
+
+def temperature_nodes(temperature_c: Floats) -> Floats:
+    """Where the campaign's temperatures gather; an even grid where they do not."""
+    _, nodes_c = _temperature_clusters(temperature_c)
+    if nodes_c.size <= MOST_NODES:
+        return nodes_c
+    lowest_c, highest_c = float(temperature_c.min()), float(temperature_c.max())
+    count = min(MOST_NODES, int(np.ceil((highest_c - lowest_c) / 2.5)) + 1)
+    return np.linspace(lowest_c, highest_c, max(count, 3))
+
+
+def _temperature_clusters(temperature_c: Floats) -> tuple[Integers, Floats]:
+    """Which cluster each value belongs to, and the clusters' means; none spans more than `SAME_TEMPERATURE_C`."""
+    order = np.argsort(temperature_c, kind="stable")
+    cluster = np.empty(order.size, dtype=np.int64)
+    number, first_c = -1, -np.inf
+    for index in order:
+        if temperature_c[index] - first_c > SAME_TEMPERATURE_C:
+            number, first_c = number + 1, float(temperature_c[index])
+        cluster[index] = number
+    return cluster, np.bincount(cluster, weights=temperature_c) / np.bincount(cluster)
+
+
+def centred(matrix: Floats, group: Integers) -> Floats:
+    """Columns less their mean in each group: a free offset of the group, eliminated exactly."""
+    count = np.bincount(group).astype(np.float64)
+    sums = np.zeros((count.size, matrix.shape[1]))
+    np.add.at(sums, group, matrix)
+    return matrix - (sums / count[:, None])[group]
+
+
+def spline_interpolation(nodes_c: Floats, temperature_c: Floats) -> Floats:
+    """Natural cubic spline through values at the nodes, as a matrix [n, m]; straight lines beyond the ends.
+
+    Second derivatives M solve h_i M_i / 6 + (h_i + h_i+1) M_i+1 / 3 + h_i+1 M_i+2 / 6 = differences of slopes.
+    """
+    count, step = nodes_c.size, np.diff(nodes_c)
+    slopes = np.diff(np.eye(count), axis=0) / step[:, None]
+    bend = np.zeros((count, count))
+    if count > 2:
+        system = (
+            np.diag((step[:-1] + step[1:]) / 3.0) + np.diag(step[1:-1] / 6.0, 1) + np.diag(step[1:-1] / 6.0, -1)
+        )
+        bend[1:-1] = np.linalg.solve(system, np.diff(slopes, axis=0))
+    inside_c = np.clip(temperature_c, nodes_c[0], nodes_c[-1])
+    piece = np.clip(np.searchsorted(nodes_c, inside_c, side="right") - 1, 0, count - 2)
+    width = step[piece]
+    b = (inside_c - nodes_c[piece]) / width
+    a = 1.0 - b
+    values = a[:, None] * np.eye(count)[piece] + b[:, None] * np.eye(count)[piece + 1]
+    curve = ((a**3 - a) * width**2 / 6.0)[:, None] * bend[piece] + ((b**3 - b) * width**2 / 6.0)[:, None] * bend[
+        piece + 1
+    ]
+    at_start = slopes[0] - step[0] / 6.0 * bend[1]
+    at_end = slopes[-1] + step[-1] / 6.0 * bend[-2]
+    beyond = np.where((temperature_c < nodes_c[0])[:, None], at_start, at_end)
+    return values + curve + (temperature_c - inside_c)[:, None] * beyond

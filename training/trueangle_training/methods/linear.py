@@ -1,0 +1,254 @@
+"""Harmonics with smooth temperature terms, weighed by evidence: deterministic, milliseconds, with its uncertainty.
+
+Each Fourier coefficient is a constant plus a Gaussian process in temperature, the kernel's amplitudes and length
+averaged over a grid by their evidence (`temperature_kernels`). Complete regular campaigns are transformed and
+every harmonic stands alone; in all others the same priors tell the harmonics of a general linear model apart, each
+with the others integrated out (`coefficients`).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueangle_training.methods import Fit, Progress, TrainingReadings, no_progress
+from trueangle_training.methods.coefficients import (
+    CoefficientLikelihood,
+    CoefficientReadings,
+    JointLikelihood,
+    reduce_to_coefficients,
+)
+from trueangle_training.methods.posterior import HarmonicPosterior, spread_nodes, spread_of, with_links
+from trueangle_training.methods.separable import SeparableModel, TemperatureBasis
+from trueangle_training.methods.temperature_kernels import (
+    LENGTHS_C,
+    SCALE_C,
+    KernelGrid,
+    KernelMixture,
+    covariance_root,
+    weigh_kernels,
+)
+from trueangle_training.methods.unseen_orders import UnseenOrders, unseen_orders
+
+Floats = NDArray[np.float64]
+
+COUPLING_ROUNDS = 4
+"""Rounds of marginal likelihood and kernel weights where harmonics are coupled; the weights settle in two."""
+LEAST_DEVIATION_ARCSEC = 0.01
+"""Of every contrast where harmonics are coupled: keeps the prior's root invertible, far below any noise."""
+NEGLIGIBLE_WEIGHT = 1e-4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LinearFit:
+    """The fitted mixture, from which other methods take noise, likelihood and correlations."""
+
+    readings: TrainingReadings
+    data: CoefficientReadings
+    likelihood: CoefficientLikelihood
+    """Each harmonic's own; where harmonics are coupled, with the others integrated out."""
+    mixture: KernelMixture
+    posterior: HarmonicPosterior
+    links: Floats | None
+    """[orders, 2 nodes, orders, 2 nodes]: covariance between harmonics; None: the plan leaves none."""
+    unseen: UnseenOrders | None
+
+    def model_of(self, posterior: HarmonicPosterior) -> SeparableModel:
+        """The served model of this or another method's posterior on the same campaign."""
+        covariance = with_links(posterior.covariance, self.links)
+        spread = spread_of(covariance, orders=self.data.orders, nodes_c=posterior.nodes_c)
+        return SeparableModel(
+            orders=self.data.orders,
+            basis=posterior.basis,
+            weights_arcsec=posterior.weights_arcsec,
+            datum_deg=self.readings.datum_deg,
+            spreads=(spread,) if self.unseen is None else (spread, self.unseen.spread),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Linear:
+    """The `Method`."""
+
+    name: str = "linear"
+    summary: str = "harmonics with smooth temperature terms, weighted by evidence"
+
+    def fit(self, readings: TrainingReadings, *, seed: int = 0, progress: Progress = no_progress) -> Fit:
+        """Deterministic: the seed changes nothing."""
+        progress(0, 1)
+        linear = fit_linear(readings)
+        progress(1, 1)
+        return Fit(
+            model=linear.model_of(linear.posterior), notes=plan_notes(linear), settings=plan_settings(linear)
+        )
+
+
+def make(base_temperature_c: float) -> Linear:
+    """The method; no temperature is its base."""
+    del base_temperature_c
+    return Linear()
+
+
+def plan_notes(linear: LinearFit) -> tuple[str, ...]:
+    """What must be said of any method that rests on this reduction."""
+    data = linear.data
+    noise = f"noise of one reading {data.sigma_arcsec:.3f} arcsec, from {data.sigma_freedoms} degrees of freedom"
+    return (noise,) if linear.unseen is None else (noise, linear.unseen.note)
+
+
+def plan_settings(linear: LinearFit) -> dict[str, object]:
+    """How the campaign was reduced, for the model file."""
+    data = linear.data
+    return {
+        "highest_order": data.orders[-1],
+        "plan": "complete and regular" if data.decoupled is not None else "general",
+        "temperature_nodes_c": [round(float(node), 4) for node in data.nodes_c],
+        "sigma_arcsec": data.sigma_arcsec,
+        "unseen_orders_rms_arcsec": 0.0 if linear.unseen is None else linear.unseen.rms_arcsec,
+    }
+
+
+def fit_linear(readings: TrainingReadings, data: CoefficientReadings | None = None) -> LinearFit:
+    """Fit the mixture; `data` where the readings have been reduced already."""
+    data = reduce_to_coefficients(readings) if data is None else data
+    grid = KernelGrid.over(data.nodes_c)
+    nodes_c = spread_nodes(data.nodes_c)
+    if data.joint is None:
+        assert data.decoupled is not None  # noqa: S101 - one of the two is there
+        likelihood, links = data.decoupled, None
+        mixture = weigh_kernels(likelihood, grid)
+    else:
+        likelihood, mixture = _fit_coupled(data.joint, grid)
+        links = _links(data.joint, mixture, nodes_c)
+    constant, basis, weights = _mean_model(mixture)
+    covariance = _harmonic_covariances(mixture, nodes_c)
+    steady_variance = np.broadcast_to(mixture.likelihood.constant_covariance, (len(data.orders), 2, 2))
+    unseen = unseen_orders(
+        readings,
+        orders=data.orders,
+        coefficients_arcsec=constant.ravel(),
+        variance=np.einsum("ncc->nc", steady_variance).ravel(),
+    )
+    return LinearFit(
+        readings=readings,
+        data=data,
+        likelihood=likelihood,
+        mixture=mixture,
+        posterior=HarmonicPosterior(basis=basis, weights_arcsec=weights, nodes_c=nodes_c, covariance=covariance),
+        links=links,
+        unseen=unseen,
+    )
+
+
+def _fit_coupled(joint: JointLikelihood, grid: KernelGrid) -> tuple[CoefficientLikelihood, KernelMixture]:
+    """Alternate between each harmonic's marginal likelihood and the kernels' weights."""
+    broad = np.where(grid.choice[:, 1] == 0, 0.0, 1.0)
+    covariance = np.repeat(
+        np.tensordot(broad / broad.sum(), grid.contrasted(), axes=1)[None], len(joint.information), 0
+    )
+    likelihood = joint.marginal(_coupled_factor(covariance, grid))
+    mixture = weigh_kernels(likelihood, grid)
+    for _ in range(COUPLING_ROUNDS - 1):
+        likelihood = joint.marginal(_coupled_factor(mixture.prior_covariance(), grid))
+        mixture = weigh_kernels(likelihood, grid)
+    return likelihood, mixture
+
+
+def _coupled_factor(covariance: Floats, grid: KernelGrid) -> Floats:
+    """`JointLikelihood.marginal`'s factor from prior covariances of contrasts [orders, m - 1, m - 1]."""
+    nodes = grid.nodes_c.size
+    factor = np.zeros((covariance.shape[0], 2 * nodes, 2 * nodes))
+    root = grid.contrast @ _floored_root(covariance)
+    factor[:, :nodes, 0] = factor[:, nodes:, 1] = 1.0
+    factor[:, :nodes, 2 : nodes + 1] = factor[:, nodes:, nodes + 1 :] = root
+    return factor
+
+
+def _floored_root(covariance: Floats) -> Floats:
+    return covariance_root(covariance + LEAST_DEVIATION_ARCSEC**2 * np.eye(covariance.shape[-1]))
+
+
+def _mean_model(mixture: KernelMixture) -> tuple[Floats, TemperatureBasis, Floats]:
+    """Constants [orders, 2] at the nodes' mean, and the posterior mean as basis and weights.
+
+    f(T) is a sum of kernels to the nodes with weights Q (q - P z), q and P the likelihood's, z the posterior mean.
+    """
+    grid, likelihood = mixture.grid, mixture.likelihood
+    orders, nodes = mixture.weight.shape[0], grid.nodes_c.size
+    dual = likelihood.information[:, None] - np.einsum(
+        "nij,ngj->ngi", _each(likelihood.precision, orders), mixture.mean
+    )
+    at_nodes = dual.reshape(orders, -1, 2, nodes - 1) @ grid.contrast.T
+    middle_c = float(grid.nodes_c.mean())
+    t = (grid.nodes_c - middle_c) / SCALE_C
+    slope = np.einsum("ng,g,ngcj,j->nc", mixture.weight, grid.linear, at_nodes, t)
+    bells = [
+        np.einsum("ng,g,ngcj->ncj", mixture.weight, np.where(grid.length == index, grid.bell, 0.0), at_nodes)
+        for index in range(len(LENGTHS_C))
+    ]
+    basis = TemperatureBasis(
+        centre_c=middle_c,
+        scale_c=SCALE_C,
+        powers=(0, 1),
+        bell_centre=tuple(np.tile(t, len(LENGTHS_C)).tolist()),
+        bell_length=tuple(np.repeat(np.array(LENGTHS_C) / SCALE_C, nodes).tolist()),
+    )
+    contrasts = np.einsum("ng,ngi->ni", mixture.weight, mixture.mean)
+    falls = np.einsum("nci,ni->nc", _each(likelihood.constant_slope, orders), contrasts)
+    constant = likelihood.constant - falls
+    by_function = np.stack([constant, slope, *(bell[:, :, j] for bell in bells for j in range(nodes))])
+    by_function[0] -= np.einsum("k,knc->nc", basis.evaluate(grid.nodes_c).mean(axis=0)[1:], by_function[1:])
+    return constant, basis, by_function.reshape(basis.size, 2 * orders)
+
+
+def _each(matrices: Floats, orders: int) -> Floats:
+    """One matrix an order, where one may stand for all."""
+    return np.broadcast_to(matrices, (orders, *matrices.shape[1:]))
+
+
+def _harmonic_covariances(mixture: KernelMixture, nodes_c: Floats) -> Floats:
+    """Posterior covariance of each harmonic's values at `nodes_c`, [orders, 2 nodes, 2 nodes], cos before sin."""
+    orders, kernels = mixture.weight.shape
+    likelihood = mixture.likelihood
+    precision = _each(likelihood.precision, orders)
+    slope, constant = _each(likelihood.constant_slope, orders), _each(likelihood.constant_covariance, orders)
+    posterior = _each(mixture.covariance, orders)
+    ones = np.kron(np.eye(2), np.ones((nodes_c.size, 1)))
+    total = np.zeros((orders, 2 * nodes_c.size, 2 * nodes_c.size))
+    mean = np.zeros((orders, 2 * nodes_c.size))
+    kept = mixture.weight.max(axis=0) > NEGLIGIBLE_WEIGHT
+    weights = mixture.weight / mixture.weight[:, kept].sum(axis=1, keepdims=True)
+    for kernel in np.flatnonzero(kept):
+        across, own = mixture.grid.from_node_mean(nodes_c, np.eye(kernels)[kernel])
+        both, prior = np.kron(np.eye(2), across), np.kron(np.eye(2), own)
+        known = precision @ posterior[:, kernel]
+        taken = precision - known @ precision
+        moves = both @ (np.eye(known.shape[1]) - known) @ slope.swapaxes(1, 2) @ ones.T
+        of_constant = constant + slope @ posterior[:, kernel] @ slope.swapaxes(1, 2)
+        covariance = prior - both @ taken @ both.T - moves - moves.swapaxes(1, 2) + ones @ of_constant @ ones.T
+        dual = likelihood.information - np.einsum("nij,nj->ni", precision, mixture.mean[:, kernel])
+        at = dual @ both.T - np.einsum("nci,ni->nc", slope, mixture.mean[:, kernel]) @ ones.T
+        at += likelihood.constant @ ones.T
+        weight = weights[:, kernel]
+        total += weight[:, None, None] * (covariance + at[:, :, None] * at[:, None, :])
+        mean += weight[:, None] * at
+    return total - mean[:, :, None] * mean[:, None, :]
+
+
+def _links(joint: JointLikelihood, mixture: KernelMixture, nodes_c: Floats) -> Floats:
+    """Posterior covariance of all values at `nodes_c` under one Gaussian whose priors are the mixture's."""
+    prior = mixture.prior_covariance()
+    factor = _coupled_factor(prior, mixture.grid)
+    orders, size = joint.information.shape
+    posterior, _ = joint.posterior(factor)
+    ones = np.ones((nodes_c.size, 1))
+    maps = np.zeros((orders, 2 * nodes_c.size, size))
+    left = np.zeros((orders, 2 * nodes_c.size, 2 * nodes_c.size))
+    for order in range(orders):
+        across, own = mixture.grid.from_node_mean(nodes_c, mixture.weight[order])
+        on_root = across @ np.linalg.inv(_floored_root(prior[order])).T
+        maps[order] = np.concatenate([np.kron(np.eye(2), ones), np.kron(np.eye(2), on_root)], axis=1)
+        left[order] = np.kron(np.eye(2), own - on_root @ on_root.T)
+    covariance = np.einsum("aik,akml,mjl->aimj", maps, posterior, maps, optimize=True)
+    covariance[np.arange(orders), :, np.arange(orders), :] += left
+    return covariance

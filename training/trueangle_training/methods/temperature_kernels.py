@@ -1,0 +1,210 @@
+"""Smooth functions of temperature as a small grid of Gaussian-process kernels, and their weighing by evidence.
+
+A coefficient is a constant b, known only from the readings, plus a Gaussian process
+
+    k(T, T') = s₁² t t' + s₂² κ_l exp(-(T - T')² / 2 l²),   t = T / 10 degC from the middle,
+
+with κ_l such that both parts have the same trace over the campaign's temperatures. The evidence of every kernel of
+the grid is exact, and the shares of the grid's values are common to all harmonics: where few harmonics move with
+temperature, the others are held still (expectation-maximisation with Dirichlet pseudo-counts).
+"""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueangle_training.methods.coefficients import CoefficientLikelihood
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+SCALE_C = 10.0
+AMPLITUDES_ARCSEC = (0.0, *np.geomspace(0.05, 8.0, 8).tolist())
+"""Of either part; 0: the part is absent."""
+LENGTHS_C = (8.0, 15.0, 30.0)
+ABSENT_PSEUDO_COUNT = 2.0
+PRESENT_PSEUDO_COUNT = 1.0 / 8.0
+"""Of each amplitude above 0: a harmonic without temperature terms is the rule."""
+LENGTH_PSEUDO_COUNT = 1.0 / 3.0
+EVIDENCE_STEPS = 30
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class KernelGrid:
+    """All kernels at the temperature nodes of one campaign."""
+
+    nodes_c: Floats
+    contrast: Floats
+    """[m, m - 1], orthonormal columns that sum to 0."""
+    linear: Floats
+    """[kernels]: s₁² of each."""
+    bell: Floats
+    """[kernels]: s₂² κ of each."""
+    length: Integers
+    """[kernels]: which of LENGTHS_C."""
+    choice: Integers
+    """[kernels, 3]: indices of s₁, s₂ and l, for the shares."""
+
+    @staticmethod
+    def over(nodes_c: Floats) -> "KernelGrid":
+        """The grid for these nodes; kernels without a bell occur once, not once a length."""
+        count = nodes_c.size
+        contrast = np.linalg.qr(np.column_stack([np.ones(count), np.eye(count)[:, : count - 1]]))[0][:, 1:]
+        t = (nodes_c - nodes_c.mean()) / SCALE_C
+        linear_trace = np.trace(contrast.T @ np.outer(t, t) @ contrast)
+        scales = [
+            linear_trace / np.trace(contrast.T @ _bell(nodes_c, nodes_c, length_c) @ contrast)
+            for length_c in LENGTHS_C
+        ]
+        amplitudes, lengths = range(len(AMPLITUDES_ARCSEC)), range(len(LENGTHS_C))
+        choice = [(i, j, k) for i, j, k in product(amplitudes, amplitudes, lengths) if j > 0 or k == 0]
+        amplitude = np.array(AMPLITUDES_ARCSEC)
+        chosen = np.array(choice)
+        return KernelGrid(
+            nodes_c=nodes_c,
+            contrast=contrast,
+            linear=amplitude[chosen[:, 0]] ** 2,
+            bell=amplitude[chosen[:, 1]] ** 2 * np.array(scales)[chosen[:, 2]],
+            length=chosen[:, 2],
+            choice=chosen,
+        )
+
+    def kernel(self, one_c: Floats, other_c: Floats, weights: Floats) -> Floats:
+        """Sum of the kernels times `weights` [kernels], not contrasted, shape [one, other]."""
+        middle_c = self.nodes_c.mean()
+        total = float(weights @ self.linear) * np.outer(one_c - middle_c, other_c - middle_c) / SCALE_C**2
+        for index, length_c in enumerate(LENGTHS_C):
+            share = float(weights @ np.where(self.length == index, self.bell, 0.0))
+            total += share * _bell(one_c, other_c, length_c)
+        return total
+
+    def from_node_mean(self, one_c: Floats, weights: Floats) -> tuple[Floats, Floats]:
+        """Covariances of f(T) - mean f(nodes): with the contrasts [one, m - 1], and with itself [one, one]."""
+        at_nodes = self.kernel(self.nodes_c, self.nodes_c, weights)
+        across = self.kernel(one_c, self.nodes_c, weights)
+        own = self.kernel(one_c, one_c, weights)
+        mean = across.mean(axis=1)
+        centred = own - mean[:, None] - mean[None, :] + at_nodes.mean()
+        return (across - at_nodes.mean(axis=0)) @ self.contrast, centred
+
+    def contrasted(self) -> Floats:
+        """Every kernel at the nodes in contrasts, [kernels, m - 1, m - 1]."""
+        t = (self.nodes_c - self.nodes_c.mean()) / SCALE_C
+        parts = [np.outer(t, t), *(_bell(self.nodes_c, self.nodes_c, length_c) for length_c in LENGTHS_C)]
+        linear, *bells = (self.contrast.T @ part @ self.contrast for part in parts)
+        return self.linear[:, None, None] * linear + self.bell[:, None, None] * np.stack(bells)[self.length]
+
+
+def _bell(one_c: Floats, other_c: Floats, length_c: float) -> Floats:
+    return np.exp(-(np.subtract.outer(one_c, other_c) ** 2) / (2.0 * length_c**2))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ContrastLikelihood:
+    """A likelihood with the constant of each coefficient integrated out (flat prior)."""
+
+    precision: Floats
+    """[orders or 1, 2 (m - 1), 2 (m - 1)] in contrasts z of the nodes' values, cos before sin."""
+    information: Floats
+    """[orders, 2 (m - 1)]."""
+    constant_covariance: Floats
+    """[orders or 1, 2, 2]: of the constants (cos, sin) given the contrasts."""
+    constant: Floats
+    """[orders, 2]: their mean where all contrasts are 0."""
+    constant_slope: Floats
+    """[orders or 1, 2, 2 (m - 1)]: by how much it falls for each contrast."""
+
+    @staticmethod
+    def of(likelihood: CoefficientLikelihood, contrast: Floats) -> "ContrastLikelihood":
+        """Complete the square in the constants."""
+        ones = np.kron(np.eye(2), np.ones((contrast.shape[0], 1)))
+        both = np.kron(np.eye(2), contrast)
+        by_constant = likelihood.precision @ ones
+        covariance: Floats = np.linalg.inv(ones.T @ by_constant).astype(np.float64)
+        slope = covariance @ (by_constant.swapaxes(1, 2) @ both)
+        constant = (covariance @ (likelihood.information @ ones)[:, :, None])[:, :, 0]
+        precision = both.T @ likelihood.precision @ both - (both.T @ by_constant) @ slope
+        information = likelihood.information @ both - ((both.T @ by_constant) @ constant[:, :, None])[:, :, 0]
+        return ContrastLikelihood(
+            precision=precision,
+            information=information,
+            constant_covariance=covariance,
+            constant=constant,
+            constant_slope=slope,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class KernelMixture:
+    """Every kernel's weight for every harmonic, and the contrasts' posterior under each."""
+
+    grid: KernelGrid
+    likelihood: ContrastLikelihood
+    weight: Floats
+    """[orders, kernels], rows sum to 1."""
+    mean: Floats
+    """[orders, kernels, 2 (m - 1)]."""
+    covariance: Floats
+    """[orders or 1, kernels, 2 (m - 1), 2 (m - 1)]."""
+    log_evidence: float
+    """Of the whole campaign with the shares as found, up to a constant of the campaign."""
+
+    def prior_covariance(self) -> Floats:
+        """The mixture's prior covariance of one component's contrasts, [orders, m - 1, m - 1]."""
+        return np.tensordot(self.weight, self.grid.contrasted(), axes=1)
+
+
+def weigh_kernels(likelihood: CoefficientLikelihood, grid: KernelGrid) -> KernelMixture:
+    """Exact posteriors under all kernels, weighed by evidence and by shares common to the harmonics."""
+    contrasts = ContrastLikelihood.of(likelihood, grid.contrast)
+    size = contrasts.information.shape[1]
+    roots = np.zeros((grid.linear.size, size, size))
+    roots[:, : size // 2, : size // 2] = roots[:, size // 2 :, size // 2 :] = covariance_root(grid.contrasted())
+    transposed = roots.swapaxes(1, 2)
+    inner = np.eye(size) + transposed @ contrasts.precision[:, None] @ roots
+    inverse = np.linalg.inv(inner)
+    projected = np.einsum("gik,ni->ngk", roots, contrasts.information)
+    solved = (inverse @ projected[..., None])[..., 0]
+    log_likelihood = (np.sum(projected * solved, axis=-1) - np.linalg.slogdet(inner)[1]) / 2.0
+    weight, log_evidence = _shares(log_likelihood, grid.choice)
+    return KernelMixture(
+        grid=grid,
+        likelihood=contrasts,
+        weight=weight,
+        mean=np.einsum("gik,ngk->ngi", roots, solved),
+        covariance=roots @ inverse @ transposed,
+        log_evidence=log_evidence,
+    )
+
+
+def covariance_root(covariance: Floats) -> Floats:
+    """L with L L' = covariance, also where it is singular."""
+    values, vectors = np.linalg.eigh(covariance)
+    return vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
+
+
+def _shares(log_likelihood: Floats, choice: Integers) -> tuple[Floats, float]:
+    """Each kernel's weight [orders, kernels] and the log evidence summed over the harmonics."""
+    counts = [np.full(len(AMPLITUDES_ARCSEC), PRESENT_PSEUDO_COUNT) for _ in range(2)]
+    counts[0][0] = counts[1][0] = ABSENT_PSEUDO_COUNT
+    counts.append(np.full(len(LENGTHS_C), LENGTH_PSEUDO_COUNT))
+    with_length = choice[:, 1] > 0
+    shares = [count / count.sum() for count in counts]
+    weight, log_evidence = np.empty_like(log_likelihood), 0.0
+    for _ in range(EVIDENCE_STEPS):
+        log_prior = np.log(shares[0][choice[:, 0]]) + np.log(shares[1][choice[:, 1]])
+        log_prior += np.where(with_length, np.log(shares[2][choice[:, 2]]), 0.0)
+        joint = log_likelihood + log_prior
+        largest = joint.max(axis=1, keepdims=True)
+        weight = np.exp(joint - largest)
+        total = weight.sum(axis=1, keepdims=True)
+        weight /= total
+        log_evidence = float(np.sum(largest + np.log(total)))
+        by_kernel = weight.sum(axis=0)
+        for part, count in enumerate(counts):
+            used = by_kernel if part < 2 else by_kernel * with_length
+            seen = count + np.bincount(choice[:, part], weights=used, minlength=count.size)
+            shares[part] = seen / seen.sum()
+    return weight, log_evidence

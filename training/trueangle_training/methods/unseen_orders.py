@@ -1,0 +1,70 @@
+"""What harmonics that the plan cannot see may do between its angles.
+
+At F equal faces order n reads like order F - n, and no method can tell them apart. A harmonic above the highest
+one fitted is therefore fitted as a lower one at the faces and missing in between. The readings cannot say how
+large it is; the size is an extrapolation: amplitudes fall on as order^-1.5 from those that were seen.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueangle.contract.units import wrap_deg
+from trueangle_training.methods import TrainingReadings
+from trueangle_training.methods.coefficients import centred
+from trueangle_training.methods.separable import CoefficientSpread, harmonics
+
+Floats = NDArray[np.float64]
+
+LOWEST_SMOOTH_ORDER = 4
+"""Eccentricity, tilt and bearing make orders 1 to 3; what is above them falls off by itself."""
+FALL_EXPONENT = 1.5
+NEGLIGIBLE_ARCSEC = 1e-3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class UnseenOrders:
+    """The assumed harmonics above the fitted ones, and how they spread."""
+
+    rms_arcsec: float
+    """Root of the sum of the assumed mean squares, on the faces and between them alike."""
+    spread: CoefficientSpread
+    note: str
+
+
+def unseen_orders(
+    readings: TrainingReadings, *, orders: tuple[int, ...], coefficients_arcsec: Floats, variance: Floats
+) -> UnseenOrders | None:
+    """None where the fitted harmonics leave nothing to extrapolate.
+
+    `coefficients_arcsec` and `variance` [2 orders]: the steady coefficients and their variances.
+    """
+    highest = orders[-1]
+    power = np.sum((coefficients_arcsec**2 - variance).reshape(-1, 2), axis=1)
+    order = np.array(orders, dtype=np.float64)
+    smooth = order >= min(LOWEST_SMOOTH_ORDER, highest)
+    strength = float(np.mean(order[smooth] ** (2 * FALL_EXPONENT) * power[smooth]))
+    unseen = tuple(range(highest + 1, 2 * highest + 3))
+    mean_square = strength / 2.0 / np.array(unseen, dtype=np.float64) ** (2 * FALL_EXPONENT)
+    if strength <= 0.0 or mean_square.sum() < NEGLIGIBLE_ARCSEC**2:
+        return None
+    group = readings.offset_group
+    angle_deg = wrap_deg(readings.angle_deg)
+    seen_design = centred(harmonics(angle_deg, orders), group)
+    response = np.linalg.lstsq(seen_design, centred(harmonics(angle_deg, unseen), group), rcond=None)[0]
+    deviation = np.repeat(np.sqrt(mean_square), 2)
+    factor: Floats = np.concatenate([response, -np.eye(2 * len(unseen))]).astype(np.float64) * deviation
+    rms_arcsec = float(np.sqrt(mean_square.sum()))
+    seen = f"{int(order[smooth][0])} to {highest}"
+    note = (
+        f"harmonics above order {highest} cannot be told apart by these angles; the uncertainty counts "
+        f"{rms_arcsec:.2f} arcsec RMS of them, assuming that amplitudes fall as order^-{FALL_EXPONENT:g} from "
+        f"orders {seen} on; it is no measurement, and repeats shifted by a third of the face pitch would show them"
+    )
+    spread = CoefficientSpread(
+        orders=(*orders, *unseen),
+        nodes_c=np.array([float(readings.temperature_c.mean())]),
+        factor_arcsec=factor[:, None, :],
+    )
+    return UnseenOrders(rms_arcsec=rms_arcsec, spread=spread, note=note)
