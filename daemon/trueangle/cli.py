@@ -17,7 +17,7 @@ from trueangle.contract.metadata import ModelMetadata
 from trueangle.core.register_table import render_csv, render_markdown, render_text
 from trueangle.edges.onnx_model import load_model
 from trueangle.edges.systemd import ServiceNotifier
-from trueangle.service import LoadedJoint, Service, load_joints
+from trueangle.service import LoadedJoint, Service, check_buses, load_joints
 
 LOG_FORMAT = "%(levelname)s %(message)s"
 _RENDERERS = {"text": render_text, "markdown": render_markdown, "csv": render_csv}
@@ -68,6 +68,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _load(path: Path) -> tuple[DaemonConfig, tuple[LoadedJoint, ...]]:
     config = load_config(path)
+    check_buses(config, source=str(path))
     return config, load_joints(config, base=path.parent, source=str(path))
 
 

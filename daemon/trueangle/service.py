@@ -25,7 +25,7 @@ from trueangle.core.node_setup import NodeReport, NodeState
 from trueangle.core.pipeline import Frame, JointChannel, Pipeline
 from trueangle.core.registers import JointIdentity, RegisterImage, RegisterMap
 from trueangle.core.sample import SampleScale
-from trueangle.edges.can_bus import CanBus
+from trueangle.edges.can_bus import CanBus, bus_faults
 from trueangle.edges.can_master import CanMaster
 from trueangle.edges.modbus_server import ModbusLimits, ModbusTcpServer
 from trueangle.edges.onnx_model import OnnxModel, load_model
@@ -56,6 +56,15 @@ class LoadedJoint:
 
     config: JointConfig
     model: OnnxModel
+
+
+def check_buses(config: DaemonConfig, *, source: str) -> None:
+    """ContractError where a bus can never be opened as it is configured; a bus that is only absent is no fault."""
+    faults: list[Fault] = []
+    for i, bus in enumerate(config.buses):
+        faults += bus_faults(bus, where=f"{source}, buses[{i}]")
+    if faults:
+        raise ContractError(faults)
 
 
 def load_joints(config: DaemonConfig, *, base: Path, source: str) -> tuple[LoadedJoint, ...]:

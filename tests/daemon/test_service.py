@@ -8,7 +8,7 @@ from trueangle.config import JointConfig, parse_config
 from trueangle.contract.encoder import EncoderSettings
 from trueangle.contract.errors import ContractError
 from trueangle.core.health import StatusBit
-from trueangle.service import encoder_differences, load_joints, node_plan, reasons
+from trueangle.service import check_buses, encoder_differences, load_joints, node_plan, reasons
 
 DATA = Path(__file__).parents[1] / "data" / "models"
 CONFIG = """\
@@ -100,6 +100,21 @@ def test_faults_of_several_models_are_reported_together() -> None:
     with pytest.raises(ContractError) as caught:
         load_joints(parse_config(text, source="t.yaml"), base=DATA, source="t.yaml")
     assert len(caught.value.faults) == 2
+
+
+@pytest.mark.parametrize(
+    ("bus", "found"),
+    [
+        ("interface: scketcand, channel: c0", "t.yaml, buses[0].interface: expected an interface of python-can: "),
+        ("interface: socketcand, channel: c0", "buses[0].options: expected host (a text) and port (1 to 65535)"),
+        ("interface: socketcand, channel: c0, options: {host: h, port: abc}", "found host 'h', port 'abc'"),
+    ],
+)
+def test_a_bus_that_can_never_open_is_a_fault(bus: str, found: str) -> None:
+    text = CONFIG.replace("interface: virtual, channel: c0", bus)
+    with pytest.raises(ContractError) as caught:
+        check_buses(parse_config(text, source="t.yaml"), source="t.yaml")
+    assert found in str(caught.value)
 
 
 def test_reasons_are_words() -> None:

@@ -126,6 +126,22 @@ def errors_of_reversed_sign(campaign: Campaign) -> Campaign:
     return replace(campaign, error_arcsec=-campaign.error_arcsec)
 
 
+def mirrored_angles(campaign: Campaign) -> Campaign:
+    return replace(campaign, angle_deg=-campaign.angle_deg % 360.0)
+
+
+def angles_in_arcminutes(campaign: Campaign) -> Campaign:
+    return replace(campaign, angle_deg=campaign.angle_deg * 60.0)
+
+
+def errors_in_arcminutes(campaign: Campaign) -> Campaign:
+    return replace(campaign, error_arcsec=campaign.error_arcsec / 60.0)
+
+
+def errors_in_microradians(campaign: Campaign) -> Campaign:
+    return replace(campaign, error_arcsec=campaign.error_arcsec * 4.84814)
+
+
 def another_polygon(campaign: Campaign) -> Campaign:
     assert campaign.face is not None
     return replace(campaign, face=campaign.face + 1)
@@ -148,6 +164,10 @@ def another_polygon(campaign: Campaign) -> Campaign:
         (zeros_at_different_angles, ["every zero group to begin within 0.5 deg", "5.22", "10.4"]),
         (two_gaps, ["gaps from 93.9 to 187.8 deg, 266.1 to 0.0 deg"]),
         (errors_of_reversed_sign, ["errors that run against the indicated angles", "is the sign reversed?"]),
+        (mirrored_angles, ["expected angles that follow the faces, 15.65 deg from one to the next"]),
+        (angles_in_arcminutes, ["expected angles that follow the faces"]),
+        (errors_in_arcminutes, ["found errors 0.0167 times as large", "are they in another unit?"]),
+        (errors_in_microradians, ["times as large", "are they in another unit?"]),
         (another_polygon, ["faces 1 to 23 of the joint's polygon, found face 24"]),
     ],
 )

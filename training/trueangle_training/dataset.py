@@ -309,7 +309,7 @@ def _face_faults(campaign: Campaign, faces: int | None) -> list[Fault]:
 
 
 def _sign_faults(campaign: Campaign, faces: int | None) -> list[Fault]:
-    """Errors that run against the indicated angles: reference minus indicated would double the error.
+    """Angles and errors that contradict the faces: mirrored, in other units, or with the sign reversed.
 
     With the shaft stopped near the autocollimator's null, the indicated angle less the polygon's is the error but
     for a constant in each zero group. Nominal angles, and shafts stopped elsewhere, say nothing.
@@ -321,12 +321,32 @@ def _sign_faults(campaign: Campaign, faces: int | None) -> list[Fault]:
     _, first, group = np.unique(campaign.zero_group, return_index=True, return_inverse=True)
     shown_arcsec = angle_difference_deg(off_polygon_deg, off_polygon_deg[first][group]) * ARCSEC_PER_DEG
     error_arcsec = campaign.error_arcsec - campaign.error_arcsec[first][group]
+    astray = np.abs(shown_arcsec) > LARGEST_ERROR_ARCSEC
+    if astray.any():
+        return [
+            Fault(
+                where=_at_rows(campaign, "angle_deg", astray),
+                expected=f"angles that follow the faces, {pitch_deg:.4g} deg from one to the next",
+                found="angles more than 5 deg off",
+                advice="are the angles in degrees, is the number of faces right, do they grow with the angle?",
+            )
+        ]
     scatter = float(np.std(shown_arcsec) * np.std(error_arcsec))
     if scatter == 0.0:
         return []
     correlation = float(
         np.mean((shown_arcsec - shown_arcsec.mean()) * (error_arcsec - error_arcsec.mean())) / scatter
     )
+    slope = correlation * float(np.std(error_arcsec) / np.std(shown_arcsec))
+    if correlation > SURELY_REVERSED and not 0.5 <= slope <= 2.0:
+        return [
+            Fault(
+                where=f"{campaign.source}, column error_arcsec",
+                expected="errors in arcsec, as large as the indicated angles show them",
+                found=f"errors {slope:.3g} times as large (correlation {correlation:.2f})",
+                advice="are they in another unit?",
+            )
+        ]
     if correlation > -SURELY_REVERSED:
         return []
     return [

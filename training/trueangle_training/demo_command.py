@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from trueangle.contract.errors import ContractError, Fault
 from trueangle_training.command import Surroundings
 
 if TYPE_CHECKING:
@@ -39,12 +40,20 @@ def _run(arguments: argparse.Namespace, surroundings: Surroundings) -> int:
 
     from trueangle_training.demo.run import DemoOptions, run_demo
 
-    low_s, high_s = DURATION_LIMITS_S
-    low_hz, high_hz = RATE_LIMITS_HZ
+    faults = [
+        Fault(where=name, expected=f"{low:g} to {high:g}", found=f"{value:g}")
+        for name, value, (low, high) in (
+            ("--duration", arguments.duration, DURATION_LIMITS_S),
+            ("--rate", arguments.rate, RATE_LIMITS_HZ),
+        )
+        if not low <= value <= high
+    ]
+    if faults:
+        raise ContractError(faults)
     options = DemoOptions(
         out=arguments.out,
-        duration_s=min(high_s, max(low_s, arguments.duration)),
-        rate_hz=min(high_hz, max(low_hz, arguments.rate)),
+        duration_s=arguments.duration,
+        rate_hz=arguments.rate,
         can=arguments.can,
     )
     # A log file has no width of its own; rich would take 80 columns and break the lines.

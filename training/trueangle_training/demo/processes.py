@@ -1,7 +1,9 @@
 """Child processes of the demo: started in sessions of their own, their output kept, always ended."""
 
 import contextlib
+import ctypes
 import os
+import signal
 import subprocess
 import time
 from collections.abc import Callable, Sequence
@@ -12,6 +14,8 @@ from typing import Self
 from trueangle.contract.errors import TrueangleError
 
 STOP_TIMEOUT_S = 5.0
+_PR_SET_PDEATHSIG = 1
+"""prctl(2): the signal that a process gets when its parent dies."""
 
 
 class ChildError(TrueangleError):
@@ -31,6 +35,8 @@ class Child:
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
+                # Even a demo that is killed leaves nothing running.
+                preexec_fn=_die_with_parent,
                 env=os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"},
             )
 
@@ -84,6 +90,10 @@ class Child:
             except subprocess.TimeoutExpired:
                 self._process.kill()
         return self._process.wait()
+
+
+def _die_with_parent() -> None:
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def run_all(

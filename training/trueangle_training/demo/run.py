@@ -24,7 +24,7 @@ from typing import Any
 import yaml
 from rich.console import Console
 
-from trueangle.contract.errors import TrueangleError
+from trueangle.contract.errors import ContractError, Fault, TrueangleError
 from trueangle.contract.joint import Joint, Plan
 from trueangle_training.demo.joints import JOINTS, NAMES, demo_joint, example_path, live_joint
 from trueangle_training.demo.judge import JointJudge, rms
@@ -68,8 +68,17 @@ def run_demo(options: DemoOptions, console: Console) -> int:
     """The whole demo; exit code 0 when every promise was kept."""
     started_s = time.monotonic()
     logs = options.out / "logs"
-    logs.mkdir(parents=True, exist_ok=True)
-    (options.out / "summary.json").unlink(missing_ok=True)
+    try:
+        logs.mkdir(parents=True, exist_ok=True)
+        (options.out / "summary.json").unlink(missing_ok=True)
+    except OSError as error:
+        found = error.strerror or str(error)
+        raise ContractError(
+            [Fault(where=f"--out {options.out}", expected="a folder to write to", found=found)]
+        ) from error
+    if options.can is not None and not Path("/sys/class/net", options.can).exists():
+        fault = Fault(where="--can", expected="a CAN interface of this machine", found=options.can)
+        raise ContractError([fault])
     joints = [demo_joint(number) for number in SLOTS]
     plan = load_plan(example_path("plan.yaml"))
     with _terminate_as_interrupt():

@@ -17,6 +17,7 @@ from typing import Self
 import can
 
 from trueangle.config import BusConfig
+from trueangle.contract.errors import Fault
 from trueangle.core.bus import backoff_s, next_sync
 from trueangle.edges.can_bus.link import BusCounters, BusOpener, Frame, FrameHandler, Link
 from trueangle.edges.can_bus.socketcan import SocketcanLink
@@ -160,6 +161,21 @@ class CanBus:
             step = next_sync(deadline_ns, period_ns, stamp_ns)
             self.counters.sync_skipped += step.skipped
             deadline_ns = step.deadline_ns
+
+
+def bus_faults(settings: BusConfig, *, where: str) -> list[Fault]:
+    """What no later attempt to open this bus could mend: an unknown interface, an impossible address."""
+    if settings.interface not in can.VALID_INTERFACES:
+        known = ", ".join(sorted(can.VALID_INTERFACES))
+        expected = f"an interface of python-can: {known}"
+        return [Fault(where=f"{where}.interface", expected=expected, found=settings.interface)]
+    if settings.interface != "socketcand":
+        return []
+    host, port = settings.options.get("host"), settings.options.get("port")
+    if isinstance(host, str) and isinstance(port, int) and 0 < port < 65536:
+        return []
+    found = f"host {host!r}, port {port!r}"
+    return [Fault(where=f"{where}.options", expected="host (a text) and port (1 to 65535)", found=found)]
 
 
 def open_python_can(settings: BusConfig) -> can.BusABC:
