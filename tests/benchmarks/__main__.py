@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+LONG = ("estimators",)
+"""Take the better part of an hour: run only when named, as in `python -m tests.benchmarks estimators`."""
 FOLDER = Path(__file__).parent
 ROOT = FOLDER.parents[1]
 
@@ -14,7 +16,11 @@ def main() -> int:
     chosen = sys.argv[1:]
     failed = 0
     for script in sorted(FOLDER.glob("bench_*.py")):
-        if chosen and script.stem.removeprefix("bench_") not in chosen:
+        name = script.stem.removeprefix("bench_")
+        if chosen and name not in chosen:
+            continue
+        if not chosen and name in LONG:
+            print(f"\n== {script.stem} left out; run it by name: python -m tests.benchmarks {name}", flush=True)
             continue
         load = " ".join(f"{value:.2f}" for value in os.getloadavg())
         print(f"\n== {script.stem}   ({os.cpu_count()} cores, load {load})", flush=True)
