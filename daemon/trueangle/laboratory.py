@@ -29,6 +29,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     # small problems; and sums would depend on the number of cores. Read by the libraries when they are imported.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    # ONNX Runtime's telemetry is a network client; it starts with the import unless told before.
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     # By name: no module of the daemon may import the laboratory, and an import statement would draw torch into
     # whatever packages, scans or type checks the controller's install.
     laboratory = importlib.import_module(LABORATORY)
