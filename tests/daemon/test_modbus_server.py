@@ -3,6 +3,7 @@
 import asyncio
 import socket
 import struct
+import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 
@@ -50,6 +51,31 @@ async def until(condition: Callable[[], bool]) -> None:
 
 def cycle_of(answer: bytes) -> int:
     return struct.unpack(">I", answer[9:13])[0]
+
+
+def test_a_request_that_waited_through_a_stall_is_answered_from_a_new_image() -> None:
+    """The loop runs ready sockets before timers that are due: the image of before the stall is still the last."""
+
+    async def scenario() -> None:
+        made = [2]
+
+        def refresh() -> None:
+            if made:
+                server.publish(image(made.pop()))
+
+        limits = ModbusLimits(idle_timeout_s=3600.0, image_age_s=0.2)
+        server = ModbusTcpServer("127.0.0.1", 0, UNIT_ID, limits, refresh)
+        server.publish(image(1))
+        client = await ModbusTcpClient.connect(await server.start())
+        request = read_request(4, 2, 2, unit=UNIT_ID)
+        time.sleep(0.25)  # noqa: ASYNC251 - the stall itself: nothing on the loop runs
+        assert cycle_of(await client.ask(request)) == 2
+        time.sleep(0.25)  # noqa: ASYNC251 - and now nobody can make a new one
+        assert (await client.ask(request))[7:] == b"\x84\x06"
+        await client.close()
+        await server.close()
+
+    asyncio.run(scenario())
 
 
 def test_before_the_first_image_the_server_is_busy_and_then_answers_from_the_latest() -> None:

@@ -352,6 +352,23 @@ def test_an_angle_outside_of_the_model_is_not_corrected(run: Run) -> None:
     run(scenario, config_yaml(joint_yaml(1, "base", model="partial.onnx")), device)
 
 
+@pytest.mark.parametrize(("address", "value"), [((0x6003, 0), 1000), ((0x6000, 0), 5), ((0x6509, 0), 9)])
+def test_an_encoder_that_another_tool_sets_while_it_runs_is_noticed_and_no_longer_corrected(
+    run: Run, caplog: pytest.LogCaptureFixture, address: Address, value: int
+) -> None:
+    """No frame tells of a preset: only the objects do."""
+    device = node()
+
+    async def scenario(r: Rig) -> None:
+        await r.until_status(1, StatusBit.VALID)
+        device.objects[address] = (value, device.objects[address][1])
+        await r.until_told(lambda: "was changed in service from" in caplog.text)
+        if address != (0x6509, 0):  # of the offset the model says nothing, so it is accepted as it is found
+            await r.until(1, lambda read: StatusBit.ENCODER_DIFFERS in read.status)
+
+    run(scenario, ONE, device)
+
+
 @pytest.mark.parametrize(
     ("address", "value", "reason"),
     [
