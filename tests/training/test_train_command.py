@@ -158,6 +158,15 @@ def test_same_inputs_and_seed_give_the_same_file(model_path: Path, campaign_csv:
     assert other.read_bytes() != model_path.read_bytes()
 
 
+def test_a_report_that_cannot_be_written_is_refused_before_anything_is(
+    campaign_csv: Path, tmp_path: Path, capsys: Output
+) -> None:
+    out, report = tmp_path / "m.onnx", tmp_path / "nowhere" / "report.html"
+    assert cli.main(["train", str(campaign_csv), "-o", str(out), "--report", str(report), *QUICK]) == 2
+    assert str(report.parent) in capsys.readouterr().err
+    assert not out.exists()
+
+
 def test_without_a_joint_file_the_model_says_that_its_encoder_is_not_stated(
     campaign_csv: Path, tmp_path: Path, capsys: Output
 ) -> None:

@@ -38,6 +38,8 @@ def train_inputs(arguments: argparse.Namespace, surroundings: Surroundings) -> T
     campaign = joint = encoder = record = None
     try:
         check_writable(arguments.output)
+        if arguments.report is not None:
+            check_writable(arguments.report)
         _check_not_an_input(arguments)
     except ContractError as error:
         faults += error.faults
