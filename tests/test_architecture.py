@@ -25,7 +25,7 @@ def test_the_daemon_draws_in_nothing_of_the_laboratory() -> None:
 
 
 def test_the_contract_is_numpy_and_the_standard_library() -> None:
-    modules = "calibration, document, encoder, errors, joint, metadata, units"
+    modules = "calibration, document, encoder, errors, joint, metadata, number_table, units"
     assert imported(f"from trueangle.contract import {modules}", PURE) == []
 
 

@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from trueangle.contract.calibration import Campaign, derive_runs
 from trueangle.contract.errors import Fault
 from trueangle.contract.joint import PlanZero
+from trueangle.contract.number_table import NumberTable, integer_faults, raise_faults, read_number_table
 from trueangle.contract.units import ARCSEC_PER_DEG, DEG_PER_TURN, angle_difference_deg
-from trueangle_training.csv_table import NumberTable, integer_faults, raise_faults, read_number_table
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

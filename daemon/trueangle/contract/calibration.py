@@ -5,7 +5,6 @@ point, header required; lines beginning with # are ignored; an empty cell is a m
 ignored with a note.
 """
 
-import csv
 import hashlib
 import io
 import math
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueangle.contract.errors import ContractError, Fault
+from trueangle.contract.number_table import raise_faults, read_number_table
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -38,8 +38,6 @@ COLUMNS = (
 )
 """In the order in which they are written."""
 
-MAX_FAULTS = 20
-"""More faults than this are counted, not listed."""
 NEW_RUN_GAP_S = 600.0
 NEW_RUN_STEP_C = 1.0
 
@@ -84,21 +82,15 @@ class Campaign:
 
 def read_campaign(data: bytes, *, source: str) -> Campaign:
     """Parse a campaign file; ContractError lists what is wrong by line."""
-    text = _decoded(data, source)
-    header, rows = _table(text, source)
+    optional = tuple(name for name in COLUMNS if name not in REQUIRED_COLUMNS)
+    table = read_number_table(data, source=source, required=REQUIRED_COLUMNS, optional=optional)
+    columns, lines = table.columns, table.row
     faults: list[Fault] = []
-    columns: dict[str, Floats] = {}
-    lines = np.array([line for line, _ in rows], dtype=np.int64)
-    for name in COLUMNS:
-        if name in header:
-            cells = [cells[header.index(name)] for _, cells in rows]
-            if name in REQUIRED_COLUMNS or any(cells):
-                columns[name] = _numbers(name, cells, lines, source, faults)
     for name in INTEGER_COLUMNS:
         if name in columns:
             _check_integers(name, columns[name], lines, source, faults)
-    _raise(faults, source)
-    notes = [f"column {name} is unknown and was ignored" for name in header if name not in COLUMNS]
+    raise_faults(faults, source)
+    notes = [f"column {name} is unknown and was ignored" for name in table.ignored]
     complete = ~(np.isnan(columns["angle_deg"]) | np.isnan(columns["error_arcsec"]))
     if not complete.all():
         missing = lines[~complete]
@@ -146,82 +138,6 @@ def _campaign(columns: dict[str, Floats], lines: Integers, source: str, sha256: 
     )
 
 
-def _decoded(data: bytes, source: str) -> str:
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data[: error.start].count(b"\n") + 1
-        found = f"byte 0x{data[error.start]:02x}"
-        where = f"{source} line {line}"
-        raise ContractError([Fault(where=where, expected="UTF-8 text", found=found)]) from error
-
-
-def _table(text: str, source: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Header and rows with their line numbers; comment and blank lines left out."""
-    header: list[str] | None = None
-    rows: list[tuple[int, list[str]]] = []
-    faults: list[Fault] = []
-    for number, line in enumerate(text.splitlines(), start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        try:
-            cells = [cell.strip() for cell in next(csv.reader([line]))]
-        except csv.Error as error:
-            where = f"{source} line {number}"
-            raise ContractError([Fault(where=where, expected="a line of CSV", found=str(error))]) from error
-        if header is None:
-            header = cells
-            _check_header(header, f"{source} line {number}")
-        elif len(cells) != len(header):
-            advice = "is a decimal comma in it?" if len(cells) > len(header) else ""
-            found = f"{len(cells)} cells"
-            where = f"{source} line {number}"
-            faults.append(Fault(where=where, expected=f"{len(header)} cells", found=found, advice=advice))
-        else:
-            rows.append((number, cells))
-    if header is None:
-        raise ContractError(
-            [Fault(where=source, expected="a header line with column names", found="an empty file")]
-        )
-    _raise(faults, source)
-    if not rows:
-        raise ContractError([Fault(where=source, expected="at least one reading", found="only a header")])
-    return header, rows
-
-
-def _check_header(header: list[str], where: str) -> None:
-    faults: list[Fault] = []
-    missing = [name for name in REQUIRED_COLUMNS if name not in header]
-    if missing:
-        found = ", ".join(header) if header else "nothing"
-        advice = "columns are separated by commas" if any(";" in n or "\t" in n for n in header) else ""
-        faults.append(Fault(where=where, expected=f"the columns {', '.join(missing)}", found=found, advice=advice))
-    faults += [
-        Fault(where=where, expected="each column once", found=f"{name} {header.count(name)} times")
-        for name in sorted(set(header))
-        if header.count(name) > 1 and name in COLUMNS
-    ]
-    if faults:
-        raise ContractError(faults)
-
-
-def _numbers(name: str, cells: list[str], lines: Integers, source: str, faults: list[Fault]) -> Floats:
-    """The column as numbers, NaN where the cell is empty."""
-    values = np.full(len(cells), np.nan)
-    for i, cell in enumerate(cells):
-        if cell == "":
-            continue
-        try:
-            number = float(cell) if "_" not in cell else math.nan
-        except ValueError:
-            number = math.nan
-        if not math.isfinite(number):
-            where = f"{source} line {lines[i]}, column {name}"
-            faults.append(Fault(where=where, expected="a finite number", found=repr(cell)))
-        values[i] = number
-    return values
-
-
 def _check_integers(name: str, values: Floats, lines: Integers, source: str, faults: list[Fault]) -> None:
     allowed = {"direction": "1 or -1", "face": "a whole number from 0"}.get(name, "a whole number")
     present = ~np.isnan(values)
@@ -236,17 +152,6 @@ def _check_integers(name: str, values: Floats, lines: Integers, source: str, fau
     for i in np.flatnonzero(wrong):
         found = "an empty cell" if not present[i] else f"{values[i]:g}"
         faults.append(Fault(where=f"{source} line {lines[i]}, column {name}", expected=allowed, found=found))
-
-
-def _raise(faults: list[Fault], source: str) -> None:
-    if not faults:
-        return
-    if len(faults) > MAX_FAULTS:
-        more = Fault(
-            where=source, expected="no further faults", found=f"{len(faults) - MAX_FAULTS} more like these"
-        )
-        faults = [*faults[:MAX_FAULTS], more]
-    raise ContractError(faults)
 
 
 def derive_runs(

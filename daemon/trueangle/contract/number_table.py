@@ -41,12 +41,11 @@ def read_number_table(
     data: bytes, *, source: str, required: tuple[str, ...], optional: tuple[str, ...] = ()
 ) -> NumberTable:
     """Parse a table; ContractError lists by line what is wrong with its form and its numbers."""
-    header, rows = _cells(data, source)
+    header, header_where, rows, faults = _cells(data, source)
     known = (*required, *optional)
-    faults = _header_faults(header, required, known, source)
+    raise_faults(_header_faults(header, required, known, header_where) + faults, source)
     if not rows:
-        faults.append(Fault(where=source, expected="at least one line of numbers", found="only a header"))
-    raise_faults(faults, source)
+        raise ContractError([Fault(where=source, expected="at least one reading", found="only a header")])
     lines = np.array([line for line, _ in rows], dtype=np.int64)
     columns: dict[str, Floats] = {}
     for place, name in enumerate(header):
@@ -87,8 +86,8 @@ def raise_faults(faults: list[Fault], source: str) -> None:
     raise ContractError(faults)
 
 
-def _cells(data: bytes, source: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Header and rows with their line numbers."""
+def _cells(data: bytes, source: str) -> tuple[list[str], str, list[tuple[int, list[str]]], list[Fault]]:
+    """The header and its place, the rows with their line numbers, and what is wrong with their form."""
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -97,6 +96,7 @@ def _cells(data: bytes, source: str) -> tuple[list[str], list[tuple[int, list[st
         found = f"byte 0x{data[error.start]:02x}"
         raise ContractError([Fault(where=where, expected="UTF-8 text", found=found)]) from error
     header: list[str] | None = None
+    header_where = source
     rows: list[tuple[int, list[str]]] = []
     faults: list[Fault] = []
     for number, line in enumerate(text.splitlines(), start=1):
@@ -109,7 +109,7 @@ def _cells(data: bytes, source: str) -> tuple[list[str], list[tuple[int, list[st
             faults.append(Fault(where=where, expected="a line of CSV", found=str(error)))
             continue
         if header is None:
-            header = cells
+            header, header_where = cells, where
         elif len(cells) != len(header):
             advice = "is a decimal comma in it?" if len(cells) > len(header) else ""
             expected = f"{len(header)} cells"
@@ -117,23 +117,24 @@ def _cells(data: bytes, source: str) -> tuple[list[str], list[tuple[int, list[st
         elif any(cells):
             rows.append((number, cells))
     if header is None:
-        faults.append(Fault(where=source, expected="a header line with column names", found="none"))
-    raise_faults(faults, source)
-    return header or [], rows
+        found = "an empty file"
+        faults.insert(0, Fault(where=source, expected="a header line with column names", found=found))
+        raise_faults(faults, source)
+    return header or [], header_where, rows, faults
 
 
 def _header_faults(
-    header: list[str], required: tuple[str, ...], known: tuple[str, ...], source: str
+    header: list[str], required: tuple[str, ...], known: tuple[str, ...], where: str
 ) -> list[Fault]:
     faults: list[Fault] = []
     missing = [name for name in required if name not in header]
     if missing:
         advice = "columns are separated by commas" if any(";" in n or "\t" in n for n in header) else ""
         expected = f"the columns {', '.join(missing)}"
-        faults.append(Fault(where=f"{source}, header", expected=expected, found=", ".join(header), advice=advice))
+        faults.append(Fault(where=where, expected=expected, found=", ".join(header), advice=advice))
     faults += [
         Fault(
-            where=f"{source}, header",
+            where=where,
             expected="each column once",
             found=f"{name} {header.count(name)} times",
         )
