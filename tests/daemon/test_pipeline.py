@@ -252,6 +252,29 @@ def test_a_sync_that_a_node_missed_makes_its_samples_look_old_and_never_young_un
     assert bench.fast(1)["age"] == 1
 
 
+def test_an_old_frame_that_comes_again_is_never_served() -> None:
+    bench = running()
+    old = bench.position(1, 10.0, 1)
+    bench.cycle(2)
+    bench.cycle(3)
+    bench.feed(old)
+    assert bench.fast(1)["raw"] == 90 * 3_600_000
+    bench.cycle(4, angle_deg=91.0)
+    assert bench.fast(1)["raw"] == 91 * 3_600_000
+    assert StatusBit.VALID in bench.status(1)
+
+
+def test_a_counter_that_starts_again_is_followed_from_its_second_sample() -> None:
+    bench = running()
+    for sequence in (2, 3, 4):
+        bench.cycle(sequence)
+    bench.cycle(0, angle_deg=91.0)
+    assert bench.fast(1)["raw"] == 90 * 3_600_000
+    bench.cycle(1, angle_deg=92.0)
+    assert bench.fast(1)["raw"] == 92 * 3_600_000
+    assert StatusBit.VALID in bench.status(1)
+
+
 def test_a_spoofed_sequence_is_no_sixty_thousand_lost_frames() -> None:
     bench = running()
     bench.cycle(40_000)
@@ -320,10 +343,10 @@ def test_a_node_that_comes_back_is_served_only_after_new_position_and_new_temper
     bench = running()
     bench.pipeline.on_node(1, NodeCondition.NOT_READY, bench.now_ns)
     bench.pipeline.on_node(1, NodeCondition.RUNNING, bench.now_ns)
-    bench.cycle(0)
+    bench.cycle(2)
     assert bench.status(1) == StatusBit.CONFIGURED | StatusBit.TEMPERATURE_STALE
     bench.feed(bench.temperature(1, 20.0))
-    bench.cycle(1)
+    bench.cycle(3)
     assert StatusBit.VALID in bench.status(1)
 
 

@@ -27,6 +27,7 @@ class JointSample:
     """Mutable state of one joint, touched by the pipeline alone."""
 
     __slots__ = (
+        "_backwards",
         "_sample_number",
         "_sample_time",
         "frames_lost",
@@ -55,6 +56,8 @@ class JointSample:
         self.raw_deg: float | None = None
         self.stamp_ns: int | None = None
         self.sequence: int | None = None
+        self._backwards: int | None = None
+        """The last sequence number that went backwards."""
         self._sample_number = 0
         self._sample_time = SampleTime()
         self.velocity_deg_s: float | None = None
@@ -87,9 +90,16 @@ class JointSample:
                 if step == 0:
                     self.frames_repeated += 1
                     return False
-                # A step of half the counter's range or more is a restart or a foreign frame, not so many losses.
-                self.frames_lost += step - 1 if step < modulus // 2 else 0
-            self.sequence = sequence
+                if step >= modulus // 2:
+                    # Backwards: an old frame come again, or the first of a counter that starts anew. The second
+                    # of such a counter tells; until then nothing is believed.
+                    if self._backwards is None or sequence != (self._backwards + 1) % modulus:
+                        self._backwards = sequence
+                        self.frames_repeated += 1
+                        return False
+                    step = 1
+                self.frames_lost += step - 1
+            self.sequence, self._backwards = sequence, None
         self._sample_number += step
         self.frames_received += 1
         return True
