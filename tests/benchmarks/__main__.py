@@ -5,8 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-LONG = ("estimators",)
-"""Take the better part of an hour: run only when named, as in `python -m tests.benchmarks estimators`."""
+LONG = ("estimators", "genetic_start")
+"""Take minutes to an hour: run only when named, as in `python -m tests.benchmarks estimators`."""
 FOLDER = Path(__file__).parent
 ROOT = FOLDER.parents[1]
 

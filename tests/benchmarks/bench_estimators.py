@@ -161,6 +161,7 @@ def main() -> int:
     methods = tuple(arguments.methods)
     jobs = [(family, seed, methods) for family in arguments.families for seed in seeds]
     together: dict[str, list[Score]] = {method: [] for method in methods}
+    outside_knee: dict[str, list[Score]] = {method: [] for method in methods}
     by_family: dict[str, dict[str, list[Score]]] = {}
     print(f"seeds {seeds.start} to {seeds.stop - 1}", flush=True)
     with Pool(arguments.processes) as pool:
@@ -170,10 +171,13 @@ def main() -> int:
                 kept[method].append(score)
                 if family in FAMILIES:
                     together[method].append(score)
+                if family in FAMILIES and family != "knee":
+                    outside_knee[method].append(score)
             if len(kept[methods[0]]) == arguments.joints:
                 print(family, *(_line(method, kept[method]) for method in methods), sep="\n", flush=True)
-    if together[methods[0]]:
-        print("all of the six", *(_line(method, together[method]) for method in methods), sep="\n")
+    for title, scored in (("all of the six", together), ("all outside knee", outside_knee)):
+        if scored[methods[0]]:
+            print(title, *(_line(method, scored[method]) for method in methods), sep="\n")
     return 0
 
 

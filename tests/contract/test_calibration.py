@@ -1,5 +1,7 @@
 """The campaign file: read, written, refused by line."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -54,6 +56,8 @@ def test_a_reading_without_error_is_left_out_and_said() -> None:
         ),
         ("angle_deg,error_arcsec\n0,nan\n", "expected a finite number, found 'nan'"),
         ("angle_deg,error_arcsec\n0,1e999\n", "expected a finite number, found '1e999'"),
+        ("angle_deg,error_arcsec\n0,-1e300\n", "column error_arcsec: expected a number from -1e+18 to 1e+18"),
+        ("angle_deg,error_arcsec,time_s\n0,1,1e300\n", "line 2, column time_s: expected a number from -1e+18"),
         ("angle_deg,error_arcsec\n0,1_0\n", "expected a finite number, found '1_0'"),
         ("angle_deg,error_arcsec\n0,1,5\n", "line 2: expected 2 cells, found 3 cells; is a decimal comma in it?"),
         ("angle_deg,error_arcsec,run\n0,1,1.5\n", "column run: expected a whole number, found 1.5"),
@@ -83,7 +87,7 @@ def test_many_faults_are_counted_after_twenty() -> None:
     assert "80 more" in faults[-1]
 
 
-COLUMN = hnp.arrays(np.float64, 7, elements=st.floats(allow_nan=False, allow_infinity=False))
+COLUMN = hnp.arrays(np.float64, 7, elements=st.floats(-1e18, 1e18))
 
 
 @given(COLUMN, COLUMN, COLUMN)
@@ -104,6 +108,20 @@ def test_writing_and_reading_give_the_same_readings(
     back = read(campaign_to_csv(written, comments=["two\nlines"]))
     for name in ("angle_deg", "error_arcsec", "temperature_c", "run", "zero_group", "face"):
         assert np.array_equal(getattr(back, name), getattr(written, name))
+
+
+def test_a_direction_that_is_not_known_is_written_as_an_empty_cell() -> None:
+    written = read("angle_deg,error_arcsec,direction,run\n0,1,1,1\n10,2,,1\n20,3,-1,1\n")
+    assert written.direction is not None
+    assert written.direction.tolist() == [1, 0, -1]
+    back = read(campaign_to_csv(written))
+    assert back.direction is not None
+    assert back.direction.tolist() == [1, 0, -1]
+
+
+def test_a_column_of_directions_none_of_which_is_known_is_read_as_none() -> None:
+    written = replace(read("angle_deg,error_arcsec,run\n0,1,1\n10,2,1\n"), direction=np.zeros(2, dtype=np.int64))
+    assert read(campaign_to_csv(written)).direction is None
 
 
 def test_a_run_ends_where_the_angle_falls_back_by_more_than_half_its_span() -> None:

@@ -9,6 +9,7 @@ from trueangle.contract.joint import (
     Joint,
     Plan,
     PlanZero,
+    SegmentKind,
     joint_from_document,
     joint_to_plain,
     plan_from_document,
@@ -111,3 +112,68 @@ def test_one_zero_and_a_turned_polygon_exclude_each_other() -> None:
     text = PLAN.replace("shift_faces: 0", "shift_faces: 0.5").replace("soak_h: 4", "soak_h: 4, zero: one")
     with pytest.raises(ContractError, match=r"expected 0 beside zero: one.*found 0\.5"):
         plan_from_document(document(text))
+
+
+def segmented(segments: str) -> Plan:
+    return plan_from_document(document(f"{PLAN.strip()[:-1]}, segments: [{segments}]}}"))
+
+
+def test_a_plan_with_segments_survives_writing_and_reading() -> None:
+    plan = segmented(
+        "{kind: polygon, temperatures_c: [20], polygon_offset: 5, loads_nm: [0, 20], one_run: true, zero: one},"
+        "{kind: sweep, temperatures_c: [15, 35], speeds_deg_s: [10, 40], turns: 4, degrees_per_reading: 2.5}"
+    )
+    assert [segment.kind for segment in plan.segments] == [SegmentKind.POLYGON, SegmentKind.SWEEP]
+    assert plan_from_document(document_from_plain(plan_to_plain(plan), source="back")) == plan
+
+
+def test_a_plan_without_segments_is_written_without_the_key() -> None:
+    assert "segments" not in plan_to_plain(plan_from_document(document(PLAN)))
+
+
+def test_a_plan_may_be_segments_alone() -> None:
+    text = (
+        "{schema_version: 1, faces: 23, temperatures_c: [], repeats: 1,"
+        " segments: [{kind: polygon, temperatures_c: [20]}]}"
+    )
+    assert plan_from_document(document(text)).temperatures_c == ()
+
+
+@pytest.mark.parametrize(
+    ("segment", "found"),
+    [
+        ("{kind: laser, temperatures_c: [20]}", "expected one of polygon, sweep"),
+        ("{kind: polygon, temperatures_c: []}", "temperatures_c: expected at least one, found none"),
+        ("{kind: polygon, temperatures_c: [20], loads_nm: []}", "loads_nm: expected at least one, found none"),
+        ("{kind: polygon, temperatures_c: [20], directions: [1, 1]}", "1, -1 or both, each once"),
+        ("{kind: polygon, temperatures_c: [20], turns: 1.5}", "expected whole turns of a polygon, found 1.5"),
+        ("{kind: polygon, temperatures_c: [20], speeds_deg_s: [3]}", "expected none beside kind polygon"),
+        ("{kind: polygon, temperatures_c: [20], from_deg: 3}", "from_deg: expected 0 beside kind polygon"),
+        ("{kind: sweep, temperatures_c: [20]}", "expected both in stop and go, found neither"),
+        (
+            "{kind: sweep, temperatures_c: [20], degrees_per_reading: 3}",
+            "expected both in stop and go, found one",
+        ),
+        (
+            "{kind: sweep, temperatures_c: [20], speeds_deg_s: [10]}",
+            "expected one of the two at a constant speed, found neither",
+        ),
+        (
+            "{kind: sweep, temperatures_c: [9], speeds_deg_s: [9], seconds_per_reading: 1,degrees_per_reading: 2}",
+            "expected one of the two at a constant speed, found both",
+        ),
+        (
+            "{kind: sweep, temperatures_c: [20], speeds_deg_s: [0, 10], degrees_per_reading: 1}",
+            "expected speeds above 0, or 0 alone for stop and go",
+        ),
+        (
+            "{kind: sweep, temperatures_c: [20], speeds_deg_s: [9], degrees_per_reading: 1, polygon_offset: 2}",
+            "polygon_offset: expected 0 beside kind sweep",
+        ),
+    ],
+)
+def test_an_impossible_segment_is_refused_with_its_line(segment: str, found: str) -> None:
+    with pytest.raises(ContractError) as caught:
+        segmented(segment)
+    assert found in str(caught.value)
+    assert "j.yaml line" in str(caught.value)

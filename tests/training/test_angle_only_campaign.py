@@ -80,7 +80,7 @@ def test_unsound_readings_are_refused_all_the_same() -> None:
         angle_only_set(in_degrees)
     far_off = campaign.error_arcsec.copy()
     far_off[50] = 18 * 3600
-    with pytest.raises(ContractError, match="lines 52"):
+    with pytest.raises(ContractError, match="line 52"):
         angle_only_set(replace(campaign, error_arcsec=far_off))
     with pytest.raises(ContractError, match="at least 5 distinct angles"):
         angle_only_set(replace(campaign, angle_deg=np.tile([0.0, 90.0, 180.0, 270.0], 27)))

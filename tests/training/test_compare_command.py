@@ -17,6 +17,7 @@ from trueangle_training.evaluation.held_out import subset
 from trueangle_training.methods import TrainingReadings, UnsuitableReadingsError
 from trueangle_training.methods.choice import Choice, automatic_names, choose
 from trueangle_training.methods.registry import load_method
+from trueangle_training.report.compared import read_comparison
 
 EXAMPLES = Path(trueangle_training.examples.__file__).parent
 JOINT, PLAN = str(EXAMPLES / "joint.yaml"), str(EXAMPLES / "plan.yaml")
@@ -127,6 +128,20 @@ def test_methods_that_the_campaign_does_not_suit_are_named_with_the_reason(
     assert "at least 6 temperatures" in refused["fepf"]
     assert "within 1 degC of the base temperature 20 degC" in refused["angle-only"]
     assert "not suited: fepf" in capsys.readouterr().out
+
+
+def test_networks_are_swept_over_their_hidden_nodes(campaign_csv: Path, tmp_path: Path, capsys: Output) -> None:
+    out = tmp_path / "c.json"
+    assert cli.main(["compare", str(campaign_csv), "--methods", "bpnn,linear", "-o", str(out)]) == 0
+    text = capsys.readouterr().out
+    assert "Hidden nodes, each temperature in turn left out: RMSE ± standard error" in text
+    sweeps = json.loads(out.read_text())["hidden_nodes"]
+    assert list(sweeps) == ["bpnn"]
+    assert [point["hidden_nodes"] for point in sweeps["bpnn"]["points"]] == [5, 10, 15, 20, 25, 30]
+    assert len(sweeps["bpnn"]["temperatures"]) == 7
+    read = read_comparison(out.read_bytes(), source="c.json").sweep("bpnn")
+    assert read is not None
+    assert f"5: {read.points[0].rmse_arcsec:.3f} ± {read.points[0].standard_error_arcsec:.3f}" in text
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """What may be trained on, and every kind of file that must not be."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,10 +12,11 @@ import trueangle_training.examples
 from trueangle.contract.calibration import Campaign
 from trueangle.contract.errors import ContractError
 from trueangle.contract.metadata import Interval
-from trueangle_training.dataset import TrainingSet, readings_needed, training_set
+from trueangle_training.dataset import TrainingSet, readings_needed, training_set, without_rows
 from trueangle_training.documents import load_joint, load_plan
 from trueangle_training.simulator.campaign import simulate_campaign
 from trueangle_training.simulator.joint import simulated_joint
+from trueangle_training.train_options import excluded_rows
 
 EXAMPLES = Path(trueangle_training.examples.__file__).parent
 COUNT = 81
@@ -153,7 +155,7 @@ def another_polygon(campaign: Campaign) -> Campaign:
         (unset_temperature, ["column temperature_c: expected the joint's temperature"]),
         (one_temperature, ["two or more temperatures, 1 degC or more apart, found runs at about 20 degC only"]),
         (errors_in_degrees, ["arcsec peak to peak; are they in degrees?"]),
-        (one_absurd_error, ["lines 207, column error_arcsec", "found up to 1.29599e+06", "wrong unit"]),
+        (one_absurd_error, ["line 207, column error_arcsec", "found up to 1.29599e+06", "wrong unit"]),
         (angles_in_radians, ["are they radians?"]),
         (angles_in_arcseconds, ["are they arcseconds or counts?"]),
         (temperature_in_kelvin, ["found 283.15", "are they in kelvin?"]),
@@ -254,3 +256,22 @@ def test_first_stops_on_both_sides_of_zero_have_their_mean_as_datum(good: Campai
 
 def test_a_datum_away_from_zero_is_kept(good: Campaign) -> None:
     assert accept(replace(good, angle_deg=good.angle_deg + 90.0)).datum_deg == pytest.approx(90.008, abs=0.001)
+
+
+def test_the_option_of_the_advice_mends_the_file(good: Campaign) -> None:
+    errors = good.error_arcsec.copy()
+    wrong = [*range(50, 68), 200, 300]
+    errors[wrong] += 400_000.0
+    bad = replace(good, error_arcsec=errors)
+    with pytest.raises(ContractError) as refusal:
+        accept(bad)
+    option = re.search(r"--exclude-rows (\S+)", str(refusal.value))
+    assert option is not None
+    assert len(accept(without_rows(bad, excluded_rows(option[1]))).readings) == 483 - len(wrong)
+
+
+def test_one_line_is_called_a_line(good: Campaign) -> None:
+    faces = np.asarray(good.face).copy()
+    faces[99] = 24
+    with pytest.raises(ContractError, match=f"CALIBRATION.csv line {good.row[99]}, column face"):
+        accept(replace(good, face=faces))

@@ -19,6 +19,7 @@ from trueangle_training.methods import (
 from trueangle_training.methods.fe_gabpnn_paper import (
     FeGabpnnModel,
     FeGabpnnOptions,
+    FeGabpnnPaper,
     FeGabpnnTraining,
     Fitness,
     Scaling,
@@ -158,8 +159,13 @@ def small(fitness: Fitness) -> FeGabpnnOptions:
     return FeGabpnnOptions(fitness=fitness, genetic=genetic, hidden_nodes=8, fitness_lm_steps=5)
 
 
-def test_default_rates_individuals_after_some_training() -> None:
-    assert FeGabpnnOptions().fitness is Fitness.AFTER_LM
+def test_default_rates_the_individuals_own_weights_as_the_text_says() -> None:
+    assert FeGabpnnOptions().fitness is Fitness.UNTRAINED
+    readings = readings_of(polygon_campaign(1))
+    text = FeGabpnnPaper(options=small(Fitness.UNTRAINED)).fit(readings)
+    assert not any("to the letter" in note for note in text.notes)
+    other = FeGabpnnPaper(options=small(Fitness.AFTER_LM)).fit(readings)
+    assert "not eq. (7) to the letter: individuals are rated after 5 Levenberg-Marquardt steps" in other.notes
 
 
 def test_every_fitness_trains_and_repeats() -> None:

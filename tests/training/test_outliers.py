@@ -61,6 +61,51 @@ def test_a_knee_in_temperature_is_no_outlier(good: Campaign) -> None:
     accept(replace(good, error_arcsec=good.error_arcsec + bend))
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+@pytest.mark.parametrize("shift_faces", [0.0, 1.0 / 3.0])
+def test_sound_campaigns_have_no_conspicuous_reading(seed: int, shift_faces: float) -> None:
+    assert accept(campaign_of(seed, shift_faces=shift_faces)).warnings == ()
+
+
+def test_a_reading_off_by_less_than_a_typing_error_is_trained_on_and_named(good: Campaign) -> None:
+    # 6 arcsec are nine to ten times the noise of 0.65: beyond 5.5 and within 15.
+    bad = with_error(good, 200, good.error_arcsec[200] + 6.0)
+    bad = with_error(bad, 77, bad.error_arcsec[77] - 7.0)
+    data = accept(bad)
+    assert len(data.readings) == 483
+    (warning,) = data.warnings
+    first, second = int(good.row[77]), int(good.row[200])
+    assert f"C.csv, column error_arcsec, line {first}: {bad.error_arcsec[77]:.4g} is -" in warning
+    assert f"line {second}: {bad.error_arcsec[200]:.4g} is +" in warning
+    assert f"--exclude-rows {first},{second}" in warning
+    times = [float(part.split(" times the")[0].rsplit(" ", 1)[1]) for part in warning.split(";")[:2]]
+    assert all(6.5 < each < 13.0 for each in times)
+    assert accept(without_rows(bad, frozenset({first, second}))).warnings == ()
+
+
+@pytest.mark.parametrize("shift_faces", [0.0, 1.0 / 3.0])
+def test_what_moves_all_readings_of_a_temperature_is_no_mistake_of_one(shift_faces: float) -> None:
+    campaign = campaign_of(1, shift_faces=shift_faces)
+    assert campaign.temperature_c is not None
+    # A bump of 8 arcsec in harmonic 1 at 25 degC alone: no cubic in temperature comes near it.
+    bump = 8.0 * np.exp(-(((campaign.temperature_c - 25.0) / 2.0) ** 2))
+    bumped = campaign.error_arcsec + bump * (np.cos(np.radians(campaign.angle_deg)) - 1.0)
+    assert accept(replace(campaign, error_arcsec=bumped)).warnings == ()
+
+
+def test_a_conspicuous_reading_is_named_where_nothing_is_repeated() -> None:
+    campaign = campaign_of(1, shift_faces=1.0 / 3.0)
+    data = accept(with_error(campaign, 200, campaign.error_arcsec[200] + 7.5))
+    assert any(f"line {campaign.row[200]}: " in warning for warning in data.warnings)
+
+
+def test_what_is_less_than_any_noise_is_not_conspicuous(good: Campaign) -> None:
+    rng = np.random.default_rng(0)
+    exact = 50.0 * (np.cos(np.radians(good.angle_deg)) - 1.0) + rng.normal(0.0, 1e-3, len(good))
+    assert accept(with_error(replace(good, error_arcsec=exact), 200, exact[200] + 0.05)).warnings == ()
+    assert accept(with_error(replace(good, error_arcsec=exact), 200, exact[200] + 0.5)).warnings != ()
+
+
 @pytest.mark.parametrize("value_arcsec", [64_800.0, 3600.0, -400.0, 130.0])
 def test_a_typing_error_is_named_by_its_line_and_goes_only_by_the_users_word(
     good: Campaign, value_arcsec: float

@@ -4,6 +4,7 @@ import argparse
 import csv
 import datetime
 import io
+import re
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -20,6 +21,7 @@ from trueangle_training.command import Register, Surroundings
 from trueangle_training.documents import load_joint, load_plan
 from trueangle_training.plan_command import shift_faces, temperatures_c
 from trueangle_training.plan_design import coefficient_noise, orders_seen, plan_time, recommended_shift, shifted
+from trueangle_training.plan_expectation import unseen_error
 from trueangle_training.plan_sheet import sheet_csv
 from trueangle_training.simulator.campaign import simulate_campaign
 from trueangle_training.simulator.joint import simulated_joint
@@ -133,6 +135,28 @@ def test_expectation_on_a_described_joint_favours_shifted_repeats(tmp_path: Path
     # The example joint has orders 12 to 20 of 0.53" RMS together, which a plain plan mistakes for lower ones.
     assert len(expected) == 2
     assert expected[0] < expected[1]
+    assert out.count("medians and range of 10 noise seeds") == 2
+
+
+def test_without_a_joint_the_gain_of_a_shift_is_that_of_the_example_and_says_so(tmp_path: Path) -> None:
+    start = ["plan", "--faces", "23", "--temperatures", "10,20,30", "-o", str(tmp_path / "plan.yaml")]
+    out = run_command(plan_command.register, start)
+    assert "on a joint like the shipped example-joint, whose orders above 11 are 0.32 arcsec RMS together" in out
+    plain = float(re.findall(r"together: ([\d.]+) arcsec RMS", out)[0])
+    with_shift = float(re.findall(r"shifted by 0.333 of the face pitch: ([\d.]+)", out)[0])
+    assert plain > 0.3
+    assert with_shift < 0.05
+
+
+def test_unseen_orders_are_missing_between_the_faces_and_taken_for_lower_ones_at_them() -> None:
+    def error_arcsec(angle_deg: np.ndarray) -> np.ndarray:
+        return 30.0 * np.cos(np.radians(angle_deg)) + 0.4 * np.sin(np.radians(14.0 * angle_deg))
+
+    found = unseen_error(error_arcsec, PLAN)
+    assert found.above_rms_arcsec == pytest.approx(0.4 / 2**0.5, rel=1e-6)
+    # On 23 faces sin 14 θ reads as -sin 9 θ: both are wrong, 0.4 / sqrt(2) each, and neither shifts the datum.
+    assert found.rmse_arcsec == pytest.approx(0.4, rel=1e-6)
+    assert unseen_error(error_arcsec, shifted(PLAN, 1 / 3)).rmse_arcsec < 1e-9
 
 
 def test_all_faults_at_once(tmp_path: Path) -> None:

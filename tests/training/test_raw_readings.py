@@ -228,7 +228,7 @@ def test_the_command_names_what_contradicts_itself(tmp_path: Path) -> None:
         run_errors([*start, "--faces", "5", "--certificate", str(certificate)])
     with pytest.raises(ContractError) as caught:
         run_errors([str(raw), "-o", str(raw), "--faces", "2", "--joint", str(tmp_path / "none.yaml")])
-    for part in ("another file than the raw readings", "--faces: expected 3 or more", "none.yaml"):
+    for part in ("--output: expected another file than RAW.csv", "--faces: expected 3 or more", "none.yaml"):
         assert part in str(caught.value)
     assert not (tmp_path / "out.csv").exists()
 

@@ -2,6 +2,7 @@
 
 import argparse
 import datetime
+import hashlib
 import io
 import json
 from dataclasses import dataclass, replace
@@ -27,12 +28,14 @@ from trueangle.contract.metadata import (
 from trueangle_training import cli, report_command
 from trueangle_training.command import Surroundings
 from trueangle_training.documents import load_joint
+from trueangle_training.hidden_node_sweep import HiddenNodeSweep, SweepPoint, sweep_json
 from trueangle_training.model_file import model_inputs
 from trueangle_training.report.budget import uncertainty_budget
 from trueangle_training.report.cautions import Caution, cautions
 from trueangle_training.report.compared import read_comparison
 from trueangle_training.report.harmonics import harmonics_by_temperature
-from trueangle_training.report.inputs import ReportInputs, SweepPoint, report_readings
+from trueangle_training.report.inputs import ReportInputs, report_readings
+from trueangle_training.report.plots import contour_label_places
 from trueangle_training.report.residuals import coverage, drifted_runs, outliers, residuals
 from trueangle_training.report.writing import report_page
 
@@ -197,6 +200,52 @@ def test_budget_takes_reference_and_sensor_out_of_the_served_uncertainty_and_add
     assert not resolution.counted
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UnevenModel(KnownModel):
+    """Its uncertainty is four times as large half-way round as at 0."""
+
+    def uncertainty_arcsec(self, angle_deg: np.ndarray, temperature_c: np.ndarray) -> np.ndarray:
+        return 0.5 - 0.3 * np.cos(np.radians(angle_deg)) + 0.0 * temperature_c
+
+
+def test_the_first_page_headlines_the_largest_uncertainty_and_labels_the_rms() -> None:
+    inputs = made_inputs(model=UnevenModel())
+    report = report_readings(inputs)
+    budget = uncertainty_budget(inputs, report, residuals(report))
+    # RMS of 0.5 - 0.3 cos: sqrt(0.25 + 0.045); its largest is 0.8, reached half a degree off 180 at the latest.
+    assert budget.expanded_arcsec == pytest.approx(2 * 0.295**0.5, rel=1e-4)
+    assert budget.largest_expanded_arcsec == pytest.approx(1.6, rel=1e-4)
+    scatter = budget.combined_reading_arcsec**2 - budget.combined_arcsec**2
+    assert budget.largest_expanded_reading_arcsec == pytest.approx(2 * (0.64 + scatter) ** 0.5, rel=1e-4)
+    cover = " ".join(report_page(inputs).split("</section>")[0].split())
+    assert "1.60″ <small>at most</small>" in cover
+    assert "1.09″ RMS over them" in cover
+    without = " ".join(report_page(made_inputs(model=KnownModel(u_arcsec=None))).split("</section>")[0].split())
+    assert "″ <small>RMS</small>" in without[without.index("Expanded uncertainty") :]
+
+
+def test_a_model_that_was_not_judged_at_left_out_temperatures_says_so_on_the_first_page() -> None:
+    inputs = made_inputs()
+    unjudged = replace(inputs, metadata=replace(inputs.metadata, errors=FitErrors()))
+    assert "Not judged at left-out temperatures" in titles(unjudged)
+    assert "not judged at left-out temperatures" in report_page(unjudged).split("</section>")[0]
+    assert "not judged" not in report_page(inputs)
+
+
+def test_contour_labels_keep_off_the_border_and_each_other() -> None:
+    angles, temperatures = np.linspace(0.0, 360.0, 50), np.linspace(10.0, 40.0, 20)
+    level = np.linspace(0.0, 360.0, 200)
+    crossing = [np.column_stack([level, np.full(200, at_c)]) for at_c in (20.0, 21.0, 30.0)]
+    at_the_edge = np.column_stack([np.full(20, 358.0), temperatures])
+    short = np.array([[100.0, 35.0], [110.0, 35.0]])
+    places = contour_label_places([*crossing, at_the_edge, short], angles, temperatures)
+    assert [number for number, _, _ in places] == [0, 1, 2]
+    assert all(0.07 * 360 < angle < 0.93 * 360 for _, angle, _ in places)
+    scaled = [np.array([angle / 360.0, (at_c - 10.0) / 30.0]) for _, angle, at_c in places]
+    apart = [np.hypot(*(one - other)) for k, one in enumerate(scaled) for other in scaled[:k]]
+    assert min(apart) > 0.13
+
+
 def test_a_model_without_uncertainty_has_its_held_out_error_or_the_scatter_in_its_place() -> None:
     inputs = made_inputs(model=KnownModel(u_arcsec=None))
     held_out = replace(inputs.metadata, errors=FitErrors(held_out_rmse_arcsec=4.0))
@@ -299,8 +348,28 @@ def test_too_small_an_uncertainty_is_told() -> None:
     assert coverage(report, found, 0.17) == pytest.approx(0.5, abs=0.1)
 
 
+def made_sweep(setting: str = "one training a point") -> HiddenNodeSweep:
+    points = [
+        SweepPoint(
+            hidden_nodes=nodes, rmse_arcsec=rmse, standard_error_arcsec=0.02, at_temperature_arcsec=(rmse, rmse)
+        )
+        for nodes, rmse in ((5, 1.104), (20, 0.907))
+    ]
+    return HiddenNodeSweep(
+        method="linear", setting=setting, temperatures=("10.0 degC", "30.0 degC"), points=tuple(points)
+    )
+
+
+def test_the_sweep_is_shown_with_what_it_is() -> None:
+    text = report_page(made_inputs(sweep=made_sweep()))
+    assert "left out of the training one by one (10.0 °C, 30.0 °C)" in text
+    assert "one training a point" in text
+    assert '<td class="n">0.907</td>' in text
+    assert "Hidden nodes" not in report_page(made_inputs())
+
+
 def test_the_page_needs_nothing_beside_itself() -> None:
-    sweep = (SweepPoint(hidden_nodes=5, rmse_arcsec=1.1), SweepPoint(hidden_nodes=20, rmse_arcsec=0.9))
+    sweep = made_sweep()
     text = report_page(made_inputs(sweep=sweep))
     seen = Seen(text)
     assert not {"script", "link", "iframe", "object", "embed", "base", "form"} & set(seen.tags)
@@ -356,12 +425,18 @@ def test_what_is_no_comparison_is_refused(text: str, expected: str) -> None:
         read_comparison(text.encode(), source="compare.json")
 
 
-@pytest.mark.parametrize(
-    "text", ["{", "{}", '[{"hidden_nodes": 3}]', '[{"hidden_nodes": 3, "rmse_arcsec": NaN}]', "3"]
-)
-def test_what_is_no_sweep_is_refused(text: str) -> None:
-    with pytest.raises(ContractError, match="hidden_nodes"):
-        report_command.read_sweep(text.encode(), source="sweep.json")
+def test_a_sweep_of_a_comparison_is_shown_or_passed_over_as_a_whole() -> None:
+    whole = {
+        "linear": sweep_json(made_sweep()),
+        "gap": {"points": [{"hidden_nodes": 3, "rmse": 1.0}, {"hidden_nodes": 4, "rmse": 1.0}]},
+        "one": {"points": [{"hidden_nodes": 3, "rmse": 1.0, "standard_error": 0.1}]},
+        "odd": {"points": 3},
+        "worse": 4,
+    }
+    read = read_comparison(json.dumps({"format": 1, "methods": [], "hidden_nodes": whole}).encode(), source="c")
+    assert read.sweeps == (made_sweep(),)
+    assert read.sweep("linear") == made_sweep()
+    assert read.sweep("gap") is None
 
 
 def run_report(arguments: list[str]) -> str:
@@ -380,15 +455,48 @@ def test_from_files_to_a_report(tmp_path: Path) -> None:
     assert cli.main([*simulate, "-o", str(campaign)]) == 0
     train = ["train", str(campaign), "--method", "linear", "--joint", joint, "--held-out", "none"]
     assert cli.main([*train, "-o", str(model), "--calibrated", "2025-03-01"]) == 0
-    sweep = tmp_path / "sweep.json"
-    sweep.write_text('[{"hidden_nodes": 20, "rmse_arcsec": 0.85, "standard_error_arcsec": 0.01}]')
-    assert str(page) in run_report(
-        [str(model), str(campaign), "--joint", joint, "--sweep", str(sweep), "-o", str(page)]
-    )
+    assert str(page) in run_report([str(model), str(campaign), "--joint", joint, "-o", str(page)])
     text = page.read_text()
     assert "readings it was trained on" in text
     assert "483 in 21 runs" in text
-    assert "Hidden nodes" in text
+    assert "Hidden nodes" not in text
+
+
+def test_a_report_takes_the_sweep_of_a_comparison_of_its_campaign_and_else_makes_one(tmp_path: Path) -> None:
+    campaign, model, page = tmp_path / "c.csv", tmp_path / "elbow.onnx", tmp_path / "r.html"
+    joint = str(EXAMPLES / "joint.yaml")
+    simulate = ["simulate", "--joint", joint, "--plan", str(EXAMPLES / "plan.yaml"), "--seed", "1"]
+    assert cli.main([*simulate, "-o", str(campaign)]) == 0
+    train = ["train", str(campaign), "--method", "fe-bpnn", "--joint", joint, "--held-out", "none"]
+    assert cli.main([*train, "-o", str(model), "--report", str(page)]) == 0
+    assert "Hidden nodes" not in page.read_text()
+    run_report([str(model), str(campaign), "-o", str(page)])
+    made = page.read_text()
+    assert "Method fe-bpnn: one training a point, random starts; the model itself has 20." in made
+    assert "30: " in made
+    document = {
+        "format": 1,
+        "calibration": {"sha256": hashlib.sha256(campaign.read_bytes()).hexdigest()},
+        "methods": [],
+        "hidden_nodes": {"fe-bpnn": sweep_json(made_sweep("made before"))},
+    }
+    compare = tmp_path / "compare.json"
+    compare.write_text(json.dumps(document))
+    run_report([str(model), str(campaign), "--compare", str(compare), "-o", str(page)])
+    assert "Method fe-bpnn: made before." in page.read_text()
+
+
+def test_a_campaign_unfit_for_training_is_reported_without_a_sweep(tmp_path: Path) -> None:
+    campaign, model, page = tmp_path / "c.csv", tmp_path / "elbow.onnx", tmp_path / "r.html"
+    joint = str(EXAMPLES / "joint.yaml")
+    simulate = ["simulate", "--joint", joint, "--plan", str(EXAMPLES / "plan.yaml"), "--seed", "1"]
+    assert cli.main([*simulate, "-o", str(campaign)]) == 0
+    train = ["train", str(campaign), "--method", "fe-gabpnn", "--joint", joint, "--held-out", "none"]
+    assert cli.main([*train, "-o", str(model)]) == 0
+    lines = campaign.read_text().splitlines(keepends=True)
+    campaign.write_text("".join(lines[: 3 + 2 * FACES]))
+    run_report([str(model), str(campaign), "-o", str(page)])
+    assert "Hidden nodes" not in page.read_text()
 
 
 def test_all_faulty_files_are_named_at_once(tmp_path: Path) -> None:

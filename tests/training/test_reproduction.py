@@ -146,6 +146,29 @@ def test_the_linear_rows_are_those_of_a_plain_least_squares(
         assert result.rows[row.name].rmse[0] == pytest.approx(float(np.sqrt(np.mean(residual**2))), rel=1e-9)
 
 
+def test_the_baselines_are_counted_like_the_tables_and_stand_beside_them(
+    campaign: NominalCampaign, result: NoiseSeedResult
+) -> None:
+    angle_deg, temperature_c, error_arcsec = campaign.flat()
+    rmse = {row: result.rows[row.name].rmse[0] for row in (Row.NONE, Row.ANGLE_ONLY, Row.HARMONICS_POLY)}
+    assert rmse[Row.NONE] == pytest.approx(float(np.sqrt(np.mean(error_arcsec**2))))
+    # On 23 equal faces orders 0 to 11 pass through the faces' means at 20 degC.
+    mean = {
+        angle: error_arcsec[(angle_deg == angle) & (temperature_c == 20.0)].mean()
+        for angle in np.unique(angle_deg)
+    }
+    left = error_arcsec - np.array([mean[angle] for angle in angle_deg])
+    assert rmse[Row.ANGLE_ONLY] == pytest.approx(float(np.sqrt(np.mean(left**2))), rel=1e-6)
+    t = temperature_c / 15.0 - 5.0 / 3.0
+    series = [np.ones_like(t)] + [f(np.radians(n * angle_deg)) for n in range(1, 12) for f in (np.sin, np.cos)]
+    products = np.stack([s * t**j for s in series for j in range(3)], axis=1)
+    left = error_arcsec - products @ np.linalg.lstsq(products, error_arcsec)[0]
+    assert rmse[Row.HARMONICS_POLY] == pytest.approx(float(np.sqrt(np.mean(left**2))), rel=1e-6)
+    text = "\n".join(report_lines(summarise([result], base=2)))
+    assert "## Baselines, not in the paper" in text
+    assert f"| no correction | {rmse[Row.NONE]:.3f} | - | - |" in text
+
+
 def test_the_summary_is_means_with_their_standard_errors(result: NoiseSeedResult) -> None:
     rows = {**result.rows, "POLY2D": replace(result.rows["POLY2D"], rmse=(result.rows["POLY2D"].rmse[0] + 1.0,))}
     pairs = {"untrained": PairedTrials(genetic_rmse=(1.0, 1.1), multistart_rmse=(0.9, 1.2))}
@@ -176,9 +199,18 @@ def test_the_command_writes_tables_figures_and_results(tmp_path: Path, capsys: p
     arguments = ["reproduce", "--seeds", "1", "--trials", "1", "--fitness", "untrained", "--out", str(out)]
     assert cli.main(arguments) == 0
     names = {path.name for path in out.iterdir()}
-    assert names == {"tables.md", "results.json", *(f"figure-{number}.png" for number in (7, 8, 9, 10))}
+    assert names == {
+        "tables.md",
+        "results.json",
+        "figure-8.json",
+        *(f"figure-{number}.png" for number in (7, 8, 9, 10)),
+    }
     assert all((out / name).read_bytes().startswith(b"\x89PNG") for name in names if name.endswith("png"))
     assert json.loads((out / "results.json").read_text())["seeds"][0]["seed"] == 0
+    figure = json.loads((out / "figure-8.json").read_text())
+    assert [point["hidden_nodes"] for point in figure["points"]] == list(FIGURE_8_NODES)
+    assert all(0.3 < point["rmse"] < 3.0 and point["standard_error"] is None for point in figure["points"])
+    assert "in-sample" in figure["what"]
     printed = capsys.readouterr().out
     assert (out / "tables.md").read_text() in printed
     assert "| FE-BPNN |" in printed

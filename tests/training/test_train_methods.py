@@ -141,12 +141,12 @@ def test_a_typing_error_ends_with_2_until_the_user_leaves_it_out(
     options = ["--joint", JOINT, *DATES, "--method", "harmonics-poly"]
     assert cli.main(["train", str(bad), "-o", str(out), *options]) == 2
     err = capsys.readouterr().err
-    assert "lines 100" in err
+    assert "line 100" in err
     assert "--exclude-rows 100" in err
     assert not out.exists()
     metadata = train(bad, out, "--method", "harmonics-poly", "--exclude-rows", "100")
     assert metadata.calibration.readings == 482
-    assert any("left out by the user (lines 100)" in note for note in metadata.notes)
+    assert any("left out by the user (line 100)" in note for note in metadata.notes)
 
 
 def test_shifted_repeats_are_for_methods_that_estimate_the_runs_zeros(tmp_path: Path, capsys: Output) -> None:
@@ -163,8 +163,9 @@ def test_shifted_repeats_are_for_methods_that_estimate_the_runs_zeros(tmp_path: 
     )
     left = truth.error_from_datum_arcsec(angle_deg, temperature_c, 0.0)
     left = left + served(out, angle_deg, temperature_c)["correction_arcsec"]
-    # The plain plan cannot see orders 12 to 20 and leaves 0.5 arcsec; 69 angles bring it to about 0.25.
-    assert np.sqrt(np.mean(left**2)) < 0.40
+    # Without the error at the datum, one draw of noise common to all angles. The plain plan cannot see orders
+    # 12 to 20 and leaves 0.46 arcsec; 69 angles bring it to 0.22, standard deviation 0.02 over campaigns.
+    assert np.std(left) < 0.30
 
 
 def test_options_of_the_papers_networks_belong_to_them(campaign_csv: Path, tmp_path: Path, capsys: Output) -> None:

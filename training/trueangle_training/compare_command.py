@@ -9,9 +9,9 @@ from trueangle.contract.calibration import Campaign, read_campaign
 from trueangle.contract.errors import ContractError, Fault
 from trueangle.contract.joint import Joint
 from trueangle_training.command import Surroundings
-from trueangle_training.dataset import training_set, without_rows
+from trueangle_training.dataset import TrainingSet, training_set, without_rows
 from trueangle_training.documents import load_joint
-from trueangle_training.files import check_writable, read_whole, write_whole
+from trueangle_training.files import check_distinct, check_writable, read_whole, write_whole
 from trueangle_training.methods import Method
 from trueangle_training.methods.registry import METHODS, load_method
 from trueangle_training.progress import progress_bar
@@ -21,6 +21,7 @@ from trueangle_training.train_options import excluded_rows
 
 if TYPE_CHECKING:
     from trueangle_training.command import Subparsers
+    from trueangle_training.hidden_node_sweep import HiddenNodeSweep
 
 ALL = "all"
 DEAREST_S = 2.0
@@ -44,7 +45,8 @@ def register(subparsers: "Subparsers") -> None:
     parser.add_argument(
         "--methods",
         metavar="NAME,NAME",
-        help=f"some of {', '.join(METHODS)}, or {ALL} (default: all that train within {DEAREST_S:g} s)",
+        help=f"some of {', '.join(METHODS)}, or {ALL} (default: all that train within {DEAREST_S:g} s); the "
+        "baselines none, angle-only and harmonics-poly are always shown",
     )
     parser.add_argument("--base-temperature-c", type=float, metavar="T", help="of the paper's methods")
     parser.add_argument(
@@ -62,20 +64,24 @@ def run(arguments: argparse.Namespace, surroundings: Surroundings) -> int:
     campaign, joint, truth, names = _inputs(arguments)
     from trueangle_training.compare_report import ComparedData, report_json, report_lines
     from trueangle_training.evaluation.comparison import compare_methods
-    from trueangle_training.evaluation.held_out import repeatability_arcsec
+    from trueangle_training.evaluation.reading_noise import reading_noise
     from trueangle_training.evaluation.truth import datum_drift_arcsec
 
     faces = None if joint is None else joint.reference.faces
-    # What no method could use is refused here; what single methods need is asked of each below.
-    data = training_set(campaign, base_temperature_c=None, faces=faces, free_offsets=True)
+    data = _readings(campaign, joint)
+    surroundings.err.writelines(f"trueangle: warning: {text}\n" for text in data.warnings)
     base_c = base_temperature_c(arguments, joint)
-    methods, refused = _suitable_methods(campaign, names, base_c, faces)
-    noise = repeatability_arcsec(data.readings)
+    if campaign.temperature_c is None:
+        methods, refused = _methods_without_temperature(names)
+    else:
+        methods, refused = _suitable_methods(campaign, names, base_c, faces)
+        methods = _with_baselines(methods, data, base_c)
+    noise = reading_noise(data.readings)
     with progress_bar(surroundings.err, f"comparing {', '.join(method.name for method in methods)}") as progress:
         comparison = compare_methods(
             data.readings,
             methods,
-            repeatability_arcsec=noise,
+            noise_arcsec=None if noise is None else noise.sigma_arcsec,
             joint=truth,
             seed=arguments.seed,
             clock=time.perf_counter,
@@ -85,15 +91,63 @@ def run(arguments: argparse.Namespace, surroundings: Surroundings) -> int:
     compared = ComparedData(
         campaign=campaign,
         data=data,
-        repeatability_arcsec=noise,
+        noise=noise,
         reference_arcsec=reference_record(joint, campaign).standard_uncertainty_arcsec,
         datum_drift_arcsec=None if truth is None else datum_drift_arcsec(truth, data.readings),
         seed=arguments.seed,
+        sweeps=_sweeps(surroundings, data, methods, seed=arguments.seed),
     )
     write_whole(arguments.output, report_json(compared, comparison))
     surroundings.out.writelines(f"{line}\n" for line in report_lines(compared, comparison))
     surroundings.out.write(f"file: {arguments.output}\n")
     return 0
+
+
+def _readings(campaign: Campaign, joint: Joint | None) -> TrainingSet:
+    """What no method could use is refused here; what single methods need is asked of each."""
+    faces = None if joint is None else joint.reference.faces
+    if campaign.temperature_c is None:
+        from trueangle_training.angle_only_campaign import angle_only_set
+
+        return angle_only_set(campaign, faces=faces)
+    return training_set(
+        campaign,
+        base_temperature_c=None,
+        joint_base_temperature_c=None if joint is None else joint.base_temperature_c,
+        faces=faces,
+        free_offsets=True,
+    )
+
+
+def _with_baselines(methods: tuple[Method, ...], data: TrainingSet, base_c: float) -> tuple[Method, ...]:
+    """What any method must beat is always there, named or not."""
+    from trueangle_training.evaluation.baselines import baseline_methods
+
+    named = {method.name for method in methods}
+    baselines = baseline_methods(data.readings, base_temperature_c=base_c)
+    return (*methods, *(method for method in baselines if method.name not in named))
+
+
+def _methods_without_temperature(
+    names: tuple[str, ...],
+) -> tuple[tuple[Method, ...], tuple[tuple[str, str], ...]]:
+    """Harmonics of the angle and no correction; all others need the temperature."""
+    from trueangle_training.angle_only_campaign import AngleHarmonics
+    from trueangle_training.evaluation.baselines import NoCorrection
+
+    reason = "the campaign has no temperatures"
+    refused = tuple((name, reason) for name in names if name != "angle-only")
+    return (AngleHarmonics(), NoCorrection()), refused
+
+
+def _sweeps(
+    surroundings: Surroundings, data: TrainingSet, methods: tuple[Method, ...], *, seed: int
+) -> "tuple[HiddenNodeSweep, ...]":
+    """Of each method that has hidden nodes."""
+    from trueangle_training.hidden_node_sweep import announced_sweep
+
+    sweeps = [announced_sweep(surroundings.err, data.readings, method, seed=seed) for method in methods]
+    return tuple(sweep for sweep in sweeps if sweep is not None)
 
 
 def _inputs(
@@ -105,6 +159,10 @@ def _inputs(
     names: tuple[str, ...] = ()
     try:
         check_writable(arguments.output)
+        check_distinct(
+            {"--output": arguments.output},
+            {"CALIBRATION.csv": arguments.calibration, "--joint": arguments.joint, "--truth": arguments.truth},
+        )
     except ContractError as error:
         faults += error.faults
     try:
@@ -123,6 +181,9 @@ def _inputs(
             campaign = without_rows(campaign, arguments.exclude_rows)
     except ContractError as error:
         faults += error.faults
+    if campaign is not None and campaign.temperature_c is None and truth is not None:
+        expected = "a campaign with temperatures, at which the joint's true error can be told"
+        faults.append(Fault(where="--truth", expected=expected, found=f"{arguments.calibration} without"))
     if arguments.seed < 0:
         faults.append(Fault(where="--seed", expected="0 or more", found=str(arguments.seed)))
     if faults or campaign is None:

@@ -1,13 +1,20 @@
 """The tables of `trueangle compare`, and `compare.json`.
 
-`compare.json`, format 1 (all errors in arcsec, intervals 95 % over resampled runs):
+`compare.json`, format 1 (all errors in arcsec, intervals 95 % over resampled runs, over resampled
+readings where there is one run):
 
-- `format`, `calibration` {`file`, `sha256`, `readings`, `runs`, `temperatures_c`}, `seed`, `simulated` (bool)
+- `format`, `calibration` {`file`, `sha256`, `readings`, `runs`, `temperatures_c` (empty where none were
+  measured)}, `seed`, `simulated` (bool)
 - `repeatability_arcsec`, `reference_standard_uncertainty_arcsec`: number or null where not known
+- `noise_arcsec`: what `coverage_2u` adds to the method's uncertainty, number or null; `noise_from`: `repeats` (it
+  is the repeatability), `fit` (what a smooth fit leaves, where no place is read twice) or null
 - `datum` {`angle_deg`, `statement`, `drift_rms_arcsec` (null unless simulated)}
 - `oracle_rmse_arcsec`: null unless simulated
 - `refused`: list of {`method`, `reason`}; `notes`: list of text
-- `methods`: list, the best at left-out temperatures first, of
+- `warnings`: list of text, readings that are conspicuous and were not left out
+- `hidden_nodes`: {method: {`setting`, `temperatures` [text], `points`: list of {`hidden_nodes`, `rmse`,
+  `standard_error` (over the temperatures), `at_temperature` [number]}}}, at left-out temperatures
+- `methods`: list, the best at left-out temperatures first, the baselines (`none`: no correction) among them, of
   {`name`, `seconds`,
    `held_out`: {kind: {`rmse`, `low`, `high`, `largest`, `coverage_2u` (or null), `not_left_out` [text],
                        `minus_best` {`value`, `low`, `high`} or null}},
@@ -25,14 +32,23 @@ import numpy as np
 
 from trueangle.contract.calibration import Campaign
 from trueangle_training.dataset import TrainingSet
+from trueangle_training.evaluation.baselines import EVERY_TEMPERATURE, NONE
 from trueangle_training.evaluation.bootstrap import Estimate
 from trueangle_training.evaluation.comparison import Comparison, HeldOutScore, MethodScore
+from trueangle_training.evaluation.datum_drift import shows_datum_drift
 from trueangle_training.evaluation.held_out import FEWEST_PLACES, HeldOutKind, temperature_groups
+from trueangle_training.evaluation.reading_noise import ReadingNoise
+from trueangle_training.hidden_node_sweep import HiddenNodeSweep, sweep_json
+from trueangle_training.methods import distinct_angle_count
 
 FORMAT = 1
-DATUM_STATEMENT = (
-    "errors are counted from the datum at the same temperature; a drift that is the same at all angles cannot be "
-    "seen by runs that are zeroed one by one (Eq. 11)"
+DATUM_STATEMENT = "errors are counted from the datum at the same temperature; "
+DATUM_UNSEEN = (
+    "a drift that is the same at all angles cannot be seen by runs that are zeroed one by one at each temperature "
+    "(Eq. 11)"
+)
+DATUM_SHOWN = (
+    "runs of different temperatures share a zero and show how the datum itself drifts; no correction contains that"
 )
 KIND_TITLES = {
     HeldOutKind.TEMPERATURE: "Each temperature in turn left out of the training",
@@ -40,6 +56,12 @@ KIND_TITLES = {
     HeldOutKind.FACE: "Places left out at all temperatures one by one, the last before the seam among them",
 }
 
+BASELINES = {
+    NONE: "no correction",
+    "angle-only": "harmonics of the angle, temperature ignored",
+    EVERY_TEMPERATURE: "harmonics of the angle from all temperatures together",
+    "harmonics-poly": "harmonics times a polynomial of temperature, as the paper's authors had it in 2019",
+}
 NEEDED = {
     HeldOutKind.TEMPERATURE: "three temperatures",
     HeldOutKind.RUN: "two runs at a temperature",
@@ -53,26 +75,31 @@ class ComparedData:
 
     campaign: Campaign
     data: TrainingSet
-    repeatability_arcsec: float | None
-    """Of one reading, from the repeats; None: nothing is repeated."""
+    noise: ReadingNoise | None
+    """Of one reading; None: not known."""
     reference_arcsec: float | None
     """Standard uncertainty of the reference; None: not stated."""
     datum_drift_arcsec: float | None
     """RMS of E(datum, T) about its mean; None: not simulated."""
     seed: int
+    sweeps: tuple[HiddenNodeSweep, ...] = ()
+    """Of the methods that have hidden nodes."""
 
 
 def report_lines(compared: ComparedData, comparison: Comparison) -> Iterator[str]:
     """The terminal's text."""
     readings = compared.data.readings
     at_c = ", ".join(f"{each:.1f}" for each in _temperatures_c(compared))
+    measured = f"at {at_c} degC" if at_c else "without temperatures"
     runs = np.unique(readings.run).size
-    yield f"{compared.campaign.source}: {len(readings)} readings in {runs} runs at {at_c} degC"
+    yield f"{compared.campaign.source}: {len(readings)} readings in {runs} run{'s' if runs > 1 else ''} {measured}"
     yield from _floor_lines(compared)
+    yield from (f"baseline {name}: {meaning}" for name, meaning in BASELINES.items() if _has(comparison, name))
     for kind, title in KIND_TITLES.items():
         yield from _kind_lines(kind, title, compared, comparison)
-    yield from _shape_lines(comparison)
+    yield from _shape_lines(compared, comparison)
     yield from _truth_lines(compared, comparison)
+    yield from _sweep_lines(compared.sweeps)
     yield ""
     yield "In-sample RMSE, arcsec, each run's mean taken off: ranks methods wrongly, here for completeness"
     for score in comparison.scores:
@@ -88,19 +115,32 @@ def report_lines(compared: ComparedData, comparison: Comparison) -> Iterator[str
         yield f"note: {note}"
 
 
+def _has(comparison: Comparison, name: str) -> bool:
+    return any(score.name == name for score in comparison.scores)
+
+
 def _temperatures_c(compared: ComparedData) -> list[float]:
+    """Empty where none were measured."""
     readings = compared.data.readings
+    if compared.campaign.temperature_c is None:
+        return []
     group = temperature_groups(readings)
     return [float(readings.temperature_c[group == each].mean()) for each in np.unique(group)]
 
 
 def _floor_lines(compared: ComparedData) -> Iterator[str]:
-    if compared.repeatability_arcsec is None:
-        yield "repeatability of one reading: not known, no place is read twice at one temperature: no coverage"
+    noise = compared.noise
+    if noise is None:
+        yield "noise of one reading: not known, neither from repeats nor from a fit: no coverage"
+    elif noise.from_repeats:
+        yield (
+            f"repeatability of one reading: {noise.sigma_arcsec:.3f} arcsec, the floor of every figure "
+            "of left-out readings"
+        )
     else:
         yield (
-            f"repeatability of one reading: {compared.repeatability_arcsec:.3f} arcsec, the floor of every figure "
-            "of left-out readings"
+            f"noise of one reading: {noise.sigma_arcsec:.3f} arcsec from what the fit of linear leaves, as no "
+            "place is read twice at one temperature: coverage rests on it"
         )
     if compared.reference_arcsec is None:
         yield "standard uncertainty of the reference: not stated, so nothing here is an uncertainty of the angle"
@@ -109,9 +149,13 @@ def _floor_lines(compared: ComparedData) -> Iterator[str]:
             f"standard uncertainty of the reference: {compared.reference_arcsec:.3f} arcsec; no corrected angle "
             "is better than that, whatever residual is printed"
         )
-    yield DATUM_STATEMENT + (
+    yield _datum_statement(compared) + (
         "" if compared.datum_drift_arcsec is None else f": here {compared.datum_drift_arcsec:.2f} arcsec RMS"
     )
+
+
+def _datum_statement(compared: ComparedData) -> str:
+    return DATUM_STATEMENT + (DATUM_SHOWN if shows_datum_drift(compared.data.readings) else DATUM_UNSEEN)
 
 
 def _kind_lines(kind: HeldOutKind, title: str, compared: ComparedData, comparison: Comparison) -> Iterator[str]:
@@ -121,7 +165,8 @@ def _kind_lines(kind: HeldOutKind, title: str, compared: ComparedData, compariso
         yield f"{title}: not possible here; it takes {NEEDED[kind]}"
         return
     yield ""
-    yield f"{title}: RMSE [95 % over runs], largest, arcsec; runs centred"
+    over = "runs" if np.unique(compared.data.readings.run).size > 1 else "readings"
+    yield f"{title}: RMSE [95 % over {over}], largest, arcsec; runs centred"
     yield f"  {'method':<16}{'RMSE':>7} {'':<18}{'largest':>8}  {'minus the best [95 %]':<28}{'within 2u':<10}"
     for score in scored:
         held_out = score.score(kind)
@@ -148,9 +193,13 @@ def _below_reference(figure_arcsec: float, reference_arcsec: float | None) -> st
     return f"below the reference's own {reference_arcsec:.3f}: the angle is not that good"
 
 
-def _shape_lines(comparison: Comparison) -> Iterator[str]:
+def _shape_lines(compared: ComparedData, comparison: Comparison) -> Iterator[str]:
+    highest = (distinct_angle_count(compared.data.readings.angle_deg) - 1) // 2
     yield ""
-    yield "What the models do where nothing was measured, arcsec; a joint has neither"
+    yield (
+        "What the models do where nothing was measured, arcsec; a joint has no jump at the seam, and departs "
+        f"between the places from the harmonics up to {highest} that they show only as far as it has higher ones"
+    )
     yield f"  {'method':<16}{'jump at the seam':>17}{'departure between faces, RMS':>31}{'s a training':>14}"
     for score in comparison.scores:
         shape = score.shape
@@ -180,9 +229,24 @@ def _truth_lines(compared: ComparedData, comparison: Comparison) -> Iterator[str
         yield f"  {score.name:<16}{figures}  {coverage:<10}{note}"
 
 
+def _sweep_lines(sweeps: tuple[HiddenNodeSweep, ...]) -> Iterator[str]:
+    if not sweeps:
+        return
+    yield ""
+    yield "Hidden nodes, each temperature in turn left out: RMSE ± standard error over the temperatures, arcsec"
+    for sweep in sweeps:
+        points = "   ".join(
+            f"{point.hidden_nodes}: {point.rmse_arcsec:.3f} ± {point.standard_error_arcsec:.3f}"
+            for point in sweep.points
+        )
+        yield f"  {sweep.method:<16}{points}"
+        yield f"  {'':<16}({sweep.setting})"
+
+
 def report_json(compared: ComparedData, comparison: Comparison) -> bytes:
     """The document described above."""
-    readings = compared.data.readings
+    readings, noise = compared.data.readings, compared.noise
+    repeatability = noise.sigma_arcsec if noise is not None and noise.from_repeats else None
     document = {
         "format": FORMAT,
         "calibration": {
@@ -194,16 +258,20 @@ def report_json(compared: ComparedData, comparison: Comparison) -> bytes:
         },
         "seed": compared.seed,
         "simulated": comparison.oracle is not None,
-        "repeatability_arcsec": compared.repeatability_arcsec,
+        "repeatability_arcsec": repeatability,
+        "noise_arcsec": None if noise is None else noise.sigma_arcsec,
+        "noise_from": None if noise is None else "repeats" if noise.from_repeats else "fit",
         "reference_standard_uncertainty_arcsec": compared.reference_arcsec,
         "datum": {
             "angle_deg": compared.data.datum_deg,
-            "statement": DATUM_STATEMENT,
+            "statement": _datum_statement(compared),
             "drift_rms_arcsec": compared.datum_drift_arcsec,
         },
         "oracle_rmse_arcsec": None if comparison.oracle is None else comparison.oracle.rmse_arcsec,
         "refused": [{"method": name, "reason": reason} for name, reason in comparison.refused],
         "notes": list(compared.data.notes),
+        "warnings": list(compared.data.warnings),
+        "hidden_nodes": {sweep.method: sweep_json(sweep) for sweep in compared.sweeps},
         "methods": [_method_json(score) for score in comparison.scores],
     }
     return (json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()

@@ -14,18 +14,26 @@ from trueangle.contract.calibration import Campaign
 from trueangle.contract.errors import ContractError, Fault
 from trueangle.contract.metadata import Interval
 from trueangle.contract.units import ARCSEC_PER_DEG, DEG_PER_TURN, angle_difference_deg, wrap_deg
+from trueangle_training.file_lines import leave_out_advice, lines_text
 from trueangle_training.methods import TrainingReadings, distinct_angle_count
 from trueangle_training.methods.base_series import SAME_TEMPERATURE_C
-from trueangle_training.outliers import contradiction_faults
+from trueangle_training.outliers import conspicuous_warnings, contradiction_faults, contradictions
+from trueangle_training.temperature_places import (
+    FEWEST_ANGLES,
+    SAME_PLACE_DEG,
+    base_place_faults,
+    place_warnings,
+    places_by_temperature,
+    valid_temperature,
+    whole_temperature_faults,
+    widest_gap_deg,
+)
+from trueangle_training.temperature_units import base_temperature_warnings, mixed_unit_faults
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-SAME_PLACE_DEG = 0.5
-"""Readings this close together are of one stop: the paper sets its first face to 0.2 deg."""
-FEWEST_ANGLES = 5
-"""Two harmonics, of eccentricity and of tilt, are in every joint: 2 x 2 + 1 angles determine them."""
 SMALLEST_PEAK_TO_PEAK_ARCSEC = 0.2
 """No joint is that good: 0.2 arcsec are 720 arcsec taken for degrees."""
 LARGEST_ERROR_ARCSEC = 18_000.0
@@ -35,8 +43,6 @@ ANY_TEMPERATURE_C = 20.0
 RADIAN_TURN = 6.3
 FEWEST_ANGLES_TO_JUDGE = 8
 LARGEST_SPAN_DEG = 36_000.0
-LARGEST_GAP_DEG = 30.0
-GAP_OVER_MEDIAN = 3.0
 SHORTEST_COPY = 3
 SURELY_REVERSED = 0.7
 ROWS_SHOWN = 10
@@ -53,6 +59,8 @@ class TrainingSet:
     valid_temperature_c: Interval
     notes: tuple[str, ...]
     """What was left out, in plain words."""
+    warnings: tuple[str, ...] = ()
+    """What is trained on although it is conspicuous, by file line."""
 
     @property
     def raw_rms_arcsec(self) -> float:
@@ -69,6 +77,8 @@ def training_set(
     campaign: Campaign,
     *,
     base_temperature_c: float | None,
+    base_order: int | None = None,
+    joint_base_temperature_c: float | None = None,
     parameters: int = 0,
     validation_fraction: float = 0.0,
     faces: int | None = None,
@@ -77,11 +87,13 @@ def training_set(
 ) -> TrainingSet:
     """Check the campaign and make it a training set.
 
-    `base_temperature_c` is that of methods which need runs at it, None for others; `parameters` is the number that
-    the method fits to the part of the readings that is not kept for validation; `faces` is the polygon's number
-    where it is known; `free_offsets` says that the method estimates the zero of every group, so that groups may be
-    zeroed anywhere; without `temperature_used` the column may be missing and nothing is asked of it. ContractError
-    lists every fault with file and lines.
+    `base_temperature_c` is that of methods which need runs at it, None for others, and `base_order` the harmonics
+    that they are asked for there, None: as many as the angles allow; `joint_base_temperature_c` is the described
+    joint's, near which a campaign is expected to have runs, None where no joint is described; `parameters` is the
+    number that the method fits to the part of the readings that is not kept for validation; `faces` is the
+    polygon's number where it is known; `free_offsets` says that the method estimates the zero of every group, so
+    that groups may be zeroed anywhere; without `temperature_used` the column may be missing and nothing is asked
+    of it. ContractError lists every fault with file and lines.
     """
     if not temperature_used:
         campaign = replace(campaign, temperature_c=np.full(len(campaign), ANY_TEMPERATURE_C))
@@ -94,7 +106,7 @@ def training_set(
     notes = list(campaign.notes)
     if not with_temperature.all():
         left_out = campaign.row[~with_temperature]
-        notes.append(f"{left_out.size} readings without a temperature were left out ({_rows(left_out)})")
+        notes.append(f"{left_out.size} readings without a temperature were left out ({lines_text(left_out)})")
     angle_deg, error_arcsec = campaign.angle_deg[with_temperature], campaign.error_arcsec[with_temperature]
     valid_angle_deg, gap_faults = _valid_angle(campaign)
     whole_turn = valid_angle_deg.maximum - valid_angle_deg.minimum == DEG_PER_TURN
@@ -113,6 +125,7 @@ def training_set(
     faults = [
         *_unit_faults(campaign),
         *(_temperature_faults(campaign, readings, base_temperature_c) if temperature_used else ()),
+        *(base_place_faults(campaign, base_temperature_c, base_order) if temperature_used else ()),
         *_copy_faults(campaign),
         *_face_faults(campaign, faces),
         *_sign_faults(campaign, faces),
@@ -120,25 +133,37 @@ def training_set(
         *zero_faults,
         *gap_faults,
     ]
-    # Only data that are sound otherwise have a curve that single readings can be held against.
-    faults = faults or contradiction_faults(campaign, readings, campaign.row[with_temperature])
+    row = campaign.row[with_temperature]
+    places = places_by_temperature(readings, row) if temperature_used and not faults else ()
+    # Only data that are sound otherwise have a curve that temperatures and single readings can be held against.
+    if temperature_used and not faults:
+        faults = whole_temperature_faults(places, source=campaign.source)
+    found = None if faults else contradictions(readings)
+    if found is not None:
+        faults = contradiction_faults(campaign, readings, row, found)
+    # After the runs: one that is wrong as a whole bends the curve, and other temperatures then seem to be wrong.
+    if temperature_used and not faults:
+        faults = mixed_unit_faults(readings, row, source=campaign.source)
     if faults:
         raise ContractError(faults)
+    # All that an encoder meets, where temperature is ignored.
+    lowest_c, highest_c = TEMPERATURE_LIMITS_C
     return TrainingSet(
         readings=readings,
         datum_deg=datum_deg,
         valid_angle_deg=valid_angle_deg,
-        valid_temperature_c=_valid_temperature(temperature_c, temperature_used=temperature_used),
+        valid_temperature_c=valid_temperature(places) or Interval(minimum=lowest_c, maximum=highest_c),
         notes=tuple(notes),
+        warnings=(
+            *base_temperature_warnings(
+                readings.run_mean_temperature_c(),
+                joint_base_temperature_c if temperature_used else None,
+                source=campaign.source,
+            ),
+            *place_warnings(places, source=campaign.source),
+            *(() if found is None else conspicuous_warnings(campaign, readings, row, found)),
+        ),
     )
-
-
-def _valid_temperature(temperature_c: Floats, *, temperature_used: bool) -> Interval:
-    """What the campaign covers; all that an encoder meets where temperature is ignored."""
-    lowest_c, highest_c = TEMPERATURE_LIMITS_C
-    if temperature_used:
-        lowest_c, highest_c = float(temperature_c.min()), float(temperature_c.max())
-    return Interval(minimum=lowest_c, maximum=highest_c)
 
 
 def centred_rms(values_arcsec: Floats, readings: TrainingReadings) -> float:
@@ -156,7 +181,7 @@ def without_rows(campaign: Campaign, rows: frozenset[int]) -> Campaign:
     unknown = sorted(rows - set(campaign.row.tolist()))
     if unknown:
         expected = f"lines of {campaign.source} that hold a reading"
-        raise ContractError([Fault(where="--exclude-rows", expected=expected, found=_rows(unknown))])
+        raise ContractError([Fault(where="--exclude-rows", expected=expected, found=lines_text(unknown))])
     keep = ~np.isin(campaign.row, sorted(rows))
     if not keep.any():
         raise ContractError([Fault(where="--exclude-rows", expected="readings left over", found="none")])
@@ -165,7 +190,8 @@ def without_rows(campaign: Campaign, rows: frozenset[int]) -> Campaign:
         for field in fields(campaign)
         if isinstance(values := getattr(campaign, field.name), np.ndarray)
     }
-    note = f"{len(rows)} readings were left out by the user ({_rows(sorted(rows))})"
+    were = "readings were" if len(rows) > 1 else "reading was"
+    note = f"{len(rows)} {were} left out by the user ({lines_text(sorted(rows))})"
     return replace(campaign, **columns, notes=(*campaign.notes, note))
 
 
@@ -177,14 +203,8 @@ def readings_needed(parameters: int, validation_fraction: float) -> int:
     return needed
 
 
-def _rows(rows: Iterable[int]) -> str:
-    listed = [str(int(row)) for row in rows]
-    shown = ", ".join(listed[:ROWS_SHOWN])
-    return f"lines {shown}, ... {len(listed)} in all" if len(listed) > ROWS_SHOWN else f"lines {shown}"
-
-
 def _at_rows(campaign: Campaign, column: str, wrong: Mask) -> str:
-    return f"{campaign.source} {_rows(campaign.row[wrong])}, column {column}"
+    return f"{campaign.source} {lines_text(campaign.row[wrong])}, column {column}"
 
 
 def _unit_faults(campaign: Campaign) -> list[Fault]:
@@ -201,8 +221,8 @@ def _unit_faults(campaign: Campaign) -> list[Fault]:
         expected = f"errors up to {LARGEST_ERROR_ARCSEC:g} arcsec (5 deg)"
         found = f"up to {np.abs(error_arcsec).max():.6g}"
         advice = (
-            "is the angle or the error in a wrong unit, or a turn left in the difference? Mend the file, or leave "
-            f"them out with --exclude-rows {','.join(str(row) for row in campaign.row[absurd][:ROWS_SHOWN])}"
+            "is the angle or the error in a wrong unit, or a turn left in the difference? "
+            f"{leave_out_advice(campaign.row[absurd])}"
         )
         where = _at_rows(campaign, "error_arcsec", absurd)
         faults.append(Fault(where=where, expected=expected, found=found, advice=advice))
@@ -389,7 +409,7 @@ def _datum(campaign: Campaign, *, free_offsets: bool) -> tuple[float, list[Fault
         return wrap_deg(float(starts_deg[0])), []
     listed = ", ".join(f"{angle:.3f}" for angle in np.unique(np.round(wrap_deg(starts_deg), 3))[:ROWS_SHOWN])
     fault = Fault(
-        where=f"{campaign.source} {_rows(campaign.row[first[apart]])}, column angle_deg",
+        where=f"{campaign.source} {lines_text(campaign.row[first[apart]])}, column angle_deg",
         expected=f"every zero group to begin within {SAME_PLACE_DEG:g} deg of {float(starts_deg[0]):.3f} deg",
         found=f"beginnings at {listed} deg",
         advice="errors zeroed at different angles differ by an unknown offset, which this method would take for "
@@ -403,11 +423,7 @@ def _valid_angle(campaign: Campaign) -> tuple[Interval, list[Fault]]:
     turn = Interval(minimum=0.0, maximum=DEG_PER_TURN)
     ordered = np.unique(wrap_deg(campaign.angle_deg))
     gaps_deg = np.diff(ordered, append=ordered[0] + DEG_PER_TURN)
-    between_places_deg = gaps_deg[gaps_deg > SAME_PLACE_DEG]
-    if between_places_deg.size == 0:
-        return turn, []
-    limit_deg = max(LARGEST_GAP_DEG, GAP_OVER_MEDIAN * float(np.median(between_places_deg)))
-    wide = np.flatnonzero(gaps_deg > limit_deg)
+    wide = np.flatnonzero(gaps_deg > widest_gap_deg(ordered))
     if wide.size == 0:
         return turn, []
     if wide.size == 1 and wide[0] == ordered.size - 1:

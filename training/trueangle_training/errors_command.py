@@ -11,7 +11,7 @@ from trueangle.contract.errors import ContractError, Fault
 from trueangle.contract.joint import Joint, PlanZero, ReferenceKind
 from trueangle_training.command import Surroundings
 from trueangle_training.documents import load_joint
-from trueangle_training.files import check_writable, read_whole, write_whole
+from trueangle_training.files import check_distinct, check_writable, read_whole, write_whole
 from trueangle_training.raw_readings import (
     FEWEST_FACES,
     PolygonCertificate,
@@ -91,9 +91,10 @@ def _inputs(arguments: argparse.Namespace) -> tuple[RawReadings, PolygonCertific
     raw = certificate = joint = None
     try:
         check_writable(arguments.output)
-        if arguments.output.exists() and arguments.raw.exists() and arguments.output.samefile(arguments.raw):
-            expected = "another file than the raw readings"
-            faults.append(Fault(where="--output", expected=expected, found=str(arguments.output)))
+        check_distinct(
+            {"--output": arguments.output},
+            {"RAW.csv": arguments.raw, "--joint": arguments.joint, "--certificate": arguments.certificate},
+        )
     except ContractError as error:
         faults += error.faults
     try:

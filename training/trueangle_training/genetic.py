@@ -36,6 +36,9 @@ class GeneticOptions:
     mutation_form: MutationForm = MutationForm.AS_MEANT
     initial_range: float = 1.0
     """First genes are uniform on [-initial_range, initial_range]."""
+    parameter_bound: float | None = None
+    """a_max = -a_min of eq. (10); None: the largest and smallest of each gene in the population, as the paper has
+    it, so that nothing leaves the range of the first genes."""
 
     def __post_init__(self) -> None:
         if self.generations < 0 or self.individuals < (2 if self.generations else 1) or not self.initial_range > 0:
@@ -43,6 +46,11 @@ class GeneticOptions:
                 "genetic algorithm: expected 2 or more individuals (1 where there are no generations), 0 or more "
                 f"generations, a positive initial range; found {self.individuals}, {self.generations}, "
                 f"{self.initial_range}"
+            )
+        if self.parameter_bound is not None and not self.initial_range <= self.parameter_bound < np.inf:
+            raise ValueError(
+                "genetic algorithm: expected a parameter bound of at least the initial range "
+                f"({self.initial_range:g}), or None; found {self.parameter_bound:g}"
             )
 
 
@@ -91,7 +99,8 @@ def evolve(
             progress(generation, total)
         population = select(evaluation, rng)
         cross(population, rng)
-        mutate(population, generation / options.generations, options.mutation_form, rng)
+        elapsed = generation / options.generations
+        mutate(population, elapsed, options.mutation_form, rng, bound=options.parameter_bound)
         evaluation = _evaluated(evaluate, population)
         candidate, fitness = _fittest(evaluation)
         if fitness < best_fitness:
@@ -145,8 +154,18 @@ def cross(population: Floats, rng: np.random.Generator) -> None:
         population[second, gene] = other * (1.0 - weight) + one * weight
 
 
-def mutate(population: Floats, elapsed: float, form: MutationForm, rng: np.random.Generator) -> None:
-    """As many mutations as individuals, in place, eq. (10); `elapsed` is e / e_max in [0, 1]."""
+def mutate(
+    population: Floats,
+    elapsed: float,
+    form: MutationForm,
+    rng: np.random.Generator,
+    *,
+    bound: float | None = None,
+) -> None:
+    """As many mutations as individuals, in place, eq. (10); `elapsed` is e / e_max in [0, 1].
+
+    `bound` is a_max = -a_min; None: the gene's extremes in the population.
+    """
     count, genes = population.shape
     for _ in range(count):
         individual, gene = rng.integers(count), rng.integers(genes)
@@ -154,8 +173,8 @@ def mutate(population: Floats, elapsed: float, form: MutationForm, rng: np.rando
         extent = rng.uniform() * (1.0 - elapsed) ** 2
         value = population[individual, gene]
         if upwards:
-            largest = population[:, gene].max()
+            largest = population[:, gene].max() if bound is None else bound
             reach = largest - value if form is MutationForm.AS_MEANT else value - largest
         else:
-            reach = population[:, gene].min() - value
+            reach = (population[:, gene].min() if bound is None else -bound) - value
         population[individual, gene] = value + reach * extent

@@ -27,7 +27,7 @@ from trueangle_training.uncertainty import UncertaintyBudget, total_uncertainty_
 
 Floats = NDArray[np.float64]
 
-PACKAGES = ("trueangle", "numpy", "torch", "onnx", "onnxruntime")
+PACKAGES = ("trueangle", "numpy", "onnx", "onnxruntime")
 PROBE_ANGLES = 24
 CHECK_ANGLES = 3000
 
@@ -44,9 +44,9 @@ def model_inputs(valid_angle_deg: Interval, valid_temperature_c: Interval) -> tu
     )
 
 
-def package_versions() -> dict[str, str]:
-    """What trained the model."""
-    return {name: version(name) for name in PACKAGES}
+def package_versions(*, torch: bool) -> dict[str, str]:
+    """What trained the model; `torch`: whether the method used it."""
+    return {name: version(name) for name in (*PACKAGES, *(("torch",) if torch else ()))}
 
 
 def model_probes(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from trueangle.contract.joint import Joint, Plan, PlanZero
 from trueangle.contract.units import ARCSEC_PER_TURN
 from trueangle_training.methods.separable import harmonics
-from trueangle_training.simulator.campaign import RunSetup, run_setups
+from trueangle_training.simulator.schedule import RunSetup, run_setups
 
 Floats = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from trueangle.contract.joint import Plan, PlanZero
 from trueangle_training.html_page import page
 from trueangle_training.plan_design import SAME_OFFSET_FACES, PlanTime
-from trueangle_training.simulator.campaign import RunSetup, run_setups
+from trueangle_training.simulator.schedule import RunSetup, run_setups
 
 HEADER = (
     "run",

@@ -28,6 +28,7 @@ from trueangle.contract.errors import Fault
 from trueangle.contract.joint import PlanZero
 from trueangle.contract.number_table import NumberTable, integer_faults, raise_faults, read_number_table
 from trueangle.contract.units import ARCSEC_PER_DEG, DEG_PER_TURN, angle_difference_deg
+from trueangle_training.file_lines import lines_text
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -43,7 +44,6 @@ LARGEST_DEVIATION_ARCSEC = 600.0
 LARGEST_ERROR_DEG = 5.0
 """As in `dataset`: no encoder errs so far, a face or a number is wrong."""
 FEWEST_FACES = 3
-ROWS_SHOWN = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -197,7 +197,8 @@ def errors_by_equation_11(
     if not complete.all():
         left_out = raw.row[~complete]
         notes.append(
-            f"{left_out.size} readings without angle or autocollimator value were left out ({_lines(left_out)})"
+            f"{left_out.size} readings without angle or autocollimator value were left out "
+            f"({lines_text(left_out)})"
         )
     if certificate is None:
         notes.append("no polygon certificate: the deviations of its faces are in the errors")
@@ -337,8 +338,3 @@ def _shown(value: float) -> str:
 
 def _integers(values: Floats) -> Integers:
     return values.astype(np.int64)
-
-
-def _lines(rows: Integers) -> str:
-    more = f", ... {rows.size} in all" if rows.size > ROWS_SHOWN else ""
-    return "lines " + ", ".join(str(row) for row in rows[:ROWS_SHOWN].tolist()) + more

@@ -1,24 +1,25 @@
 """`trueangle report`: one HTML file about a model file and the campaign it is held against."""
 
 import argparse
-import json
-import math
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING
 
 from trueangle.contract.calibration import Campaign, read_campaign
 from trueangle.contract.errors import ContractError, Fault
 from trueangle.contract.joint import Joint
 from trueangle_training.command import Surroundings
-from trueangle_training.dataset import without_rows
+from trueangle_training.dataset import training_set, without_rows
 from trueangle_training.documents import load_joint
-from trueangle_training.files import check_writable, read_whole
+from trueangle_training.files import check_distinct, check_writable, read_whole, write_whole
+from trueangle_training.methods.registry import DEFAULT_BASE_TEMPERATURE_C, METHODS, load_method
 from trueangle_training.train_options import excluded_rows
 
 if TYPE_CHECKING:
     from trueangle_training.command import Subparsers
+    from trueangle_training.hidden_node_sweep import HiddenNodeSweep
     from trueangle_training.report.compared import ComparedMethods
-    from trueangle_training.report.inputs import ReportInputs, SweepPoint
+    from trueangle_training.report.inputs import ReportInputs
     from trueangle_training.report.served import ServedModel
 
 
@@ -40,12 +41,6 @@ def register(subparsers: "Subparsers") -> None:
     )
     parser.add_argument("--compare", type=Path, metavar="compare.json", help="of trueangle compare")
     parser.add_argument(
-        "--sweep",
-        type=Path,
-        metavar="SWEEP.json",
-        help='hidden nodes: [{"hidden_nodes": 20, "rmse_arcsec": 0.85, "standard_error_arcsec": 0.01}, ...]',
-    )
-    parser.add_argument(
         "--exclude-rows", type=excluded_rows, default=frozenset(), metavar="N,N-M", help="lines to leave out"
     )
     parser.set_defaults(run=run)
@@ -54,9 +49,10 @@ def register(subparsers: "Subparsers") -> None:
 def run(arguments: argparse.Namespace, surroundings: Surroundings) -> int:
     """Read, draw, write; 0."""
     inputs = _inputs(arguments, surroundings)
-    from trueangle_training.report.writing import write_report
+    inputs = replace(inputs, sweep=_sweep(inputs, surroundings))
+    from trueangle_training.report.writing import report_page
 
-    write_report(arguments.output, inputs)
+    write_whole(arguments.output, report_page(inputs).encode())
     surroundings.out.write(f"{'report':<17}{arguments.output}\n")
     return 0
 
@@ -72,9 +68,17 @@ def _inputs(arguments: argparse.Namespace, surroundings: Surroundings) -> "Repor
     campaign: Campaign | None = None
     joint: Joint | None = None
     comparison: ComparedMethods | None = None
-    sweep: tuple[SweepPoint, ...] = ()
     try:
         check_writable(arguments.output)
+        check_distinct(
+            {"--output": arguments.output},
+            {
+                "JOINT.onnx": arguments.model,
+                "CAMPAIGN.csv": arguments.campaign,
+                "--joint": arguments.joint,
+                "--compare": arguments.compare,
+            },
+        )
     except ContractError as error:
         faults += error.faults
     try:
@@ -91,8 +95,6 @@ def _inputs(arguments: argparse.Namespace, surroundings: Surroundings) -> "Repor
         joint = None if arguments.joint is None else load_joint(arguments.joint)
         if arguments.compare is not None:
             comparison = read_comparison(read_whole(arguments.compare), source=str(arguments.compare))
-        if arguments.sweep is not None:
-            sweep = read_sweep(read_whole(arguments.sweep), source=str(arguments.sweep))
     except ContractError as error:
         faults += error.faults
     if faults or model is None or campaign is None:
@@ -106,31 +108,34 @@ def _inputs(arguments: argparse.Namespace, surroundings: Surroundings) -> "Repor
         made_on=surroundings.today,
         joint=joint,
         comparison=comparison,
-        sweep=sweep,
     )
 
 
-def read_sweep(data: bytes, *, source: str) -> "tuple[SweepPoint, ...]":
-    """Points of a hidden-node sweep, rising; ContractError where they are none."""
-    from trueangle_training.report.inputs import SweepPoint
+def _sweep(inputs: "ReportInputs", surroundings: Surroundings) -> "HiddenNodeSweep | None":
+    """That of the comparison, else one made of these readings; None: no network, or unfit for training."""
+    from trueangle_training.hidden_node_sweep import announced_sweep, has_hidden_nodes
 
-    expected = "a list of {hidden_nodes, rmse_arcsec, standard_error_arcsec}"
+    name, campaign, comparison = inputs.metadata.method, inputs.campaign, inputs.comparison
+    if comparison is not None and comparison.campaign_sha256 == campaign.sha256:
+        compared = comparison.sweep(name)
+        if compared is not None:
+            return compared
+    if not has_hidden_nodes(name):
+        return None
+    settings = inputs.metadata.method_settings
+    base_c = settings["base_temperature_c"].plain() if "base_temperature_c" in settings else None
+    base_c = float(base_c) if isinstance(base_c, int | float) else DEFAULT_BASE_TEMPERATURE_C
+    entry = METHODS[name]
     try:
-        entries = cast("list[dict[str, Any]]", json.loads(data))
-        points = [
-            SweepPoint(
-                hidden_nodes=int(entry["hidden_nodes"]),
-                rmse_arcsec=float(entry["rmse_arcsec"]),
-                standard_error_arcsec=None
-                if entry.get("standard_error_arcsec") is None
-                else float(entry["standard_error_arcsec"]),
-            )
-            for entry in entries
-        ]
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise ContractError([Fault(where=source, expected=expected, found=str(error))]) from error
-    if not isinstance(entries, list) or not all(math.isfinite(point.rmse_arcsec) for point in points):
-        raise ContractError(
-            [Fault(where=source, expected=expected, found="no list, or an RMSE that is not finite")]
+        data = training_set(
+            campaign,
+            base_temperature_c=base_c if entry.needs_base_temperature else None,
+            faces=None if inputs.joint is None else inputs.joint.reference.faces,
+            free_offsets=entry.free_offsets,
         )
-    return tuple(sorted(points, key=lambda point: point.hidden_nodes))
+    except ContractError as error:
+        # A campaign to verify a model may be too small or too odd to train on; the report shows all the rest.
+        surroundings.err.write(f"no hidden-node sweep: {error.faults[0]}\n")
+        return None
+    method = load_method(name, base_temperature_c=base_c)
+    return announced_sweep(surroundings.err, data.readings, method, seed=inputs.metadata.seed)

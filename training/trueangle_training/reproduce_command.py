@@ -16,7 +16,7 @@ from trueangle.contract.errors import ContractError, Fault
 from trueangle.contract.joint import Joint, Plan
 from trueangle_training.command import Surroundings
 from trueangle_training.documents import load_joint, load_plan
-from trueangle_training.files import write_whole
+from trueangle_training.files import write_all
 from trueangle_training.progress import Progress, progress_bar
 
 if TYPE_CHECKING:
@@ -196,15 +196,20 @@ def _write(
 ) -> None:
     from trueangle_training.reproduction.experiment import base_index
     from trueangle_training.reproduction.plots import figure_images
-    from trueangle_training.reproduction.report import report_lines
+    from trueangle_training.reproduction.report import figure_8_json, report_lines
     from trueangle_training.reproduction.summary import summarise
 
     summary = summarise(results, base=base_index(campaign))
     text = "".join(f"{line}\n" for line in report_lines(summary))
-    write_whole(out / "tables.md", text.encode())
     data = json.dumps({"format": 1, "seeds": [asdict(each) for each in results]}, allow_nan=False)
-    write_whole(out / "results.json", (data + "\n").encode())
-    for name, image in figure_images(campaign, results[0], summary).items():
-        write_whole(out / name, image)
+    files = {
+        "tables.md": text.encode(),
+        "results.json": (data + "\n").encode(),
+        "figure-8.json": figure_8_json(summary),
+        **figure_images(campaign, results[0], summary),
+    }
+    write_all([(out / name, content) for name, content in files.items()])
     surroundings.out.write(text)
-    surroundings.out.write(f"\nwritten to {out}: tables.md, results.json, figure-7.png to figure-10.png\n")
+    surroundings.out.write(
+        f"\nwritten to {out}: tables.md, results.json, figure-7.png to figure-10.png, figure-8.json\n"
+    )

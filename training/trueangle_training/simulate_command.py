@@ -10,7 +10,7 @@ from trueangle.contract.calibration import campaign_to_csv
 from trueangle.contract.errors import ContractError, Fault
 from trueangle_training.command import Surroundings
 from trueangle_training.documents import load_joint, load_plan
-from trueangle_training.files import check_writable, write_whole
+from trueangle_training.files import check_distinct, check_writable, write_whole
 from trueangle_training.simulator.campaign import simulate_campaign
 from trueangle_training.simulator.joint import simulated_joint
 
@@ -49,6 +49,7 @@ def run(arguments: argparse.Namespace, surroundings: Surroundings) -> int:
         faults += error.faults
     try:
         check_writable(arguments.output)
+        check_distinct({"--output": arguments.output}, {"--joint": arguments.joint, "--plan": arguments.plan})
     except ContractError as error:
         faults += error.faults
     if arguments.seed < 0:
@@ -58,7 +59,7 @@ def run(arguments: argparse.Namespace, surroundings: Surroundings) -> int:
     campaign = simulate_campaign(joint, plan, arguments.seed)
     comments = (
         f"Simulated by trueangle, not measured: joint {joint.joint.name}, seed {arguments.seed}.",
-        "error_arcsec = indicated - reference, zeroed at the first reading of each run (Eq. 11).",
+        "error_arcsec = indicated - reference, zeroed at the first reading of each zero group (Eq. 11).",
     )
     write_whole(arguments.output, campaign_to_csv(campaign, comments=comments).encode())
     error_arcsec = campaign.error_arcsec

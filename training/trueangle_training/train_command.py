@@ -17,7 +17,7 @@ from trueangle.contract.encoder import EncoderSettings
 from trueangle.contract.errors import ContractError, Fault
 from trueangle.contract.metadata import SCHEMA_VERSION, SIGN_CONVENTION, FitErrors, ModelMetadata
 from trueangle_training.command import Surroundings
-from trueangle_training.files import write_whole
+from trueangle_training.files import write_all
 from trueangle_training.methods.registry import METHODS, load_method
 from trueangle_training.progress import faults_placed_in, progress_bar
 from trueangle_training.train_inputs import (
@@ -27,21 +27,34 @@ from trueangle_training.train_inputs import (
     reference_record,
     train_inputs,
 )
-from trueangle_training.train_options import AUTO, add_method_options, chosen_method, excluded_rows
+from trueangle_training.train_options import (
+    AUTO,
+    STATED_DEFAULTS,
+    add_method_options,
+    chosen_method,
+    excluded_rows,
+)
 
 if TYPE_CHECKING:
     from trueangle_training.command import Subparsers
     from trueangle_training.dataset import TrainingSet
+    from trueangle_training.evaluation.baselines import BaselineScore
     from trueangle_training.evaluation.held_out import HeldOut
+    from trueangle_training.hidden_node_sweep import HiddenNodeSweep
     from trueangle_training.methods import Fit, Method
     from trueangle_training.methods.choice import Choice
     from trueangle_training.uncertainty import UncertaintyBudget
 
+TRAINED_FITNESS_S = 5.0
+MANY_READINGS = 100_000
+MANY_READINGS_TEXT = (
+    "take minutes and gigabytes: the means of those taken at one place, in one run and at one temperature give "
+    "nearly the same model in seconds"
+)
 QUICK_S = 2.0
 """Methods whose one training takes longer are held out only when asked for: one training more a temperature."""
-PLAIN_PLACES = 30
-SHIFTED_COST = 5.0
-"""Repeats shifted against each other have more places than a polygon has faces and train so many times as long."""
+MOST_FOLDS = 10
+"""Dense sweeps with drifting temperature have more temperatures to leave out, and each training takes longer."""
 
 
 def register(subparsers: "Subparsers") -> None:
@@ -53,7 +66,19 @@ def register(subparsers: "Subparsers") -> None:
         description="Train a model of the encoder's error over angle and temperature and write it as an ONNX file "
         "that names its encoder, its campaign and the ranges in which it may be used.",
     )
-    parser.add_argument("calibration", type=Path, metavar="CALIBRATION.csv")
+    parser.add_argument("calibration", type=Path, nargs="?", metavar="CALIBRATION.csv")
+    parser.add_argument(
+        "--from-simulator",
+        type=Path,
+        metavar="JOINT.yaml",
+        help="train on a simulated campaign of this joint in place of a measured one",
+    )
+    parser.add_argument(
+        "--plan",
+        type=Path,
+        metavar="PLAN.yaml",
+        help="what is simulated (default: 7 temperatures, 3 repeats shifted by a third of the face pitch)",
+    )
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="JOINT.onnx")
     parser.add_argument("--joint", type=Path, metavar="JOINT.yaml", help="encoder, reference and base temperature")
     parser.add_argument(
@@ -83,7 +108,8 @@ def register(subparsers: "Subparsers") -> None:
     parser.add_argument(
         "--held-out",
         choices=("temperature", "none"),
-        help="leave out each temperature in turn and state the error there (default: for quick methods)",
+        help="leave out each temperature in turn and state the error there, in the report for other numbers of "
+        "hidden nodes as well (default: for quick methods)",
     )
     add_method_options(parser)
     parser.set_defaults(run=run)
@@ -93,6 +119,7 @@ def run(arguments: argparse.Namespace, surroundings: Surroundings) -> int:
     """Train, replay, write and report; 0."""
     inputs = train_inputs(arguments, surroundings)
     # These draw in onnx and the method's own libraries: seconds that a fault in the files must not cost.
+    from trueangle_training.methods.stages import StagedMethod, Stages
     from trueangle_training.model_file import model_file
     from trueangle_training.plausibility import check_model
     from trueangle_training.train_report import choice_lines, report_lines
@@ -104,6 +131,9 @@ def run(arguments: argparse.Namespace, surroundings: Surroundings) -> int:
     else:
         method = None if arguments.method == AUTO else chosen_method(arguments, base_temperature_c=base_c)
     data = _training_set(arguments, inputs, method, base_c)
+    surroundings.err.writelines(f"trueangle: warning: {text}\n" for text in data.warnings)
+    if len(data.readings) > MANY_READINGS:
+        surroundings.err.write(f"trueangle: warning: {len(data.readings)} readings {MANY_READINGS_TEXT}\n")
     choice = None
     if method is None:
         choice = _choose(arguments, surroundings, data, base_c, source)
@@ -113,26 +143,36 @@ def run(arguments: argparse.Namespace, surroundings: Surroundings) -> int:
     with progress_bar(surroundings.err, title) as progress, faults_placed_in(source):
         fit = method.fit(data.readings, seed=arguments.seed, progress=progress)
     check_model(fit.model, data, source=source)
-    held_out = choice.held_out if choice is not None else _held_out(arguments, surroundings, data, method)
+    # The trainings that judge the method leave out the same readings: each part is reduced once for all of them.
+    method = method.sharing(Stages()) if isinstance(method, StagedMethod) else method
+    judged = choice.held_out if choice is not None else _held_out(arguments, surroundings, data, method)
+    held_out = None if isinstance(judged, str) else judged
     budget = _budget(inputs)
-    metadata = _metadata(arguments, inputs, data, method, fit, held_out, budget)
+    metadata = _metadata(arguments, inputs, data, method, fit, judged, budget)
     model = model_file(fit.model, metadata, budget)
-    write_whole(arguments.output, model)
+    files = [(arguments.output, model)]
     if arguments.report is not None:
-        _write_report(arguments, surroundings, inputs, model)
-    lines = report_lines(metadata, data, fit, held_out, budget, source=source)
+        sweep = _sweep(arguments, surroundings, data, method)
+        files.append((arguments.report, _report(arguments, surroundings, inputs, model, sweep)))
+    write_all(files)
+    baselines = _baselines(arguments, inputs, data, base_c)
+    lines = report_lines(metadata, data, fit, held_out, baselines, budget, source=source)
     surroundings.out.writelines(f"{line}\n" for line in lines)
     surroundings.out.write(f"{'file':<17}{arguments.output}\n")
     surroundings.out.write(f"{'SHA-256':<17}{hashlib.sha256(model).hexdigest()}\n")
     return 0
 
 
-def _write_report(
-    arguments: argparse.Namespace, surroundings: Surroundings, inputs: TrainInputs, model: bytes
-) -> None:
+def _report(
+    arguments: argparse.Namespace,
+    surroundings: Surroundings,
+    inputs: TrainInputs,
+    model: bytes,
+    sweep: "HiddenNodeSweep | None",
+) -> bytes:
     from trueangle_training.report.inputs import ReportInputs
     from trueangle_training.report.served import served_model
-    from trueangle_training.report.writing import write_report
+    from trueangle_training.report.writing import report_page
 
     served = served_model(model, source=str(arguments.output))
     report = ReportInputs(
@@ -143,8 +183,9 @@ def _write_report(
         model_sha256=served.sha256,
         made_on=surroundings.today,
         joint=inputs.joint,
+        sweep=sweep,
     )
-    write_report(arguments.report, report)
+    return report_page(report).encode()
 
 
 def _method_without_temperature(arguments: argparse.Namespace, source: str) -> "Method":
@@ -191,17 +232,19 @@ def _training_set(
     from trueangle_training.dataset import training_set
 
     entry = METHODS.get(arguments.method)
-    parameters, validation_fraction = 0, 0.0
+    parameters, validation_fraction, base_order = 0, 0.0, None
     if method is not None and entry is not None and entry.paper_network:
         from trueangle_training.methods.fe_gabpnn_paper import FeGabpnnPaper
         from trueangle_training.network import parameter_count
 
         assert isinstance(method, FeGabpnnPaper)  # noqa: S101 - what the registry says of it
         parameters = parameter_count(method.options.hidden_nodes)
-        validation_fraction = method.options.validation_fraction
+        validation_fraction, base_order = method.options.validation_fraction, method.options.order
     return training_set(
         inputs.campaign,
         base_temperature_c=base_c if entry is not None and entry.needs_base_temperature else None,
+        base_order=base_order,
+        joint_base_temperature_c=None if inputs.joint is None else inputs.joint.base_temperature_c,
         parameters=parameters,
         validation_fraction=validation_fraction,
         faces=None if inputs.joint is None else inputs.joint.reference.faces,
@@ -222,17 +265,19 @@ def _choose(
 
 def _held_out(
     arguments: argparse.Namespace, surroundings: Surroundings, data: "TrainingSet", method: "Method"
-) -> "HeldOut | None":
-    """Leave-one-temperature-out of the method; None: not wanted, or too few temperatures."""
+) -> "HeldOut | str":
+    """Leave-one-temperature-out of the method, or why there is none."""
     from trueangle_training.evaluation.held_out import HeldOutKind, hold_out, temperature_folds
-    from trueangle_training.methods import distinct_angle_count
 
-    plain = distinct_angle_count(data.readings.angle_deg) <= PLAIN_PLACES
-    quick = METHODS[method.name].seconds * (1.0 if plain else SHIFTED_COST) <= QUICK_S
-    wanted = arguments.held_out == "temperature" or (arguments.held_out is None and quick)
-    folds = temperature_folds(data.readings) if wanted else ()
+    folds = temperature_folds(data.readings)
     if not folds:
-        return None
+        return "it takes three temperatures or more"
+    if arguments.held_out == "none":
+        return "not wanted (--held-out none)"
+    if arguments.held_out is None:
+        seconds = _training_s(arguments, method)
+        if seconds > QUICK_S or len(folds) > MOST_FOLDS:
+            return f"{len(folds)} trainings of about {seconds:g} s or more each: --held-out temperature makes them"
     done = 0
     with progress_bar(surroundings.err, f"leaving out each of {len(folds)} temperatures") as progress:
 
@@ -244,7 +289,40 @@ def _held_out(
         held_out = hold_out(
             data.readings, method, HeldOutKind.TEMPERATURE, folds, seed=arguments.seed, progress=step
         )
-    return held_out if held_out.known.any() else None
+    return held_out if held_out.known.any() else held_out.refused[0]
+
+
+def _baselines(
+    arguments: argparse.Namespace, inputs: TrainInputs, data: "TrainingSet", base_c: float
+) -> "tuple[BaselineScore, ...]":
+    """What the model must beat; without temperatures that is no correction alone."""
+    from trueangle_training.evaluation.baselines import NoCorrection, baseline_methods, baseline_scores
+
+    known = inputs.campaign.temperature_c is not None
+    methods = baseline_methods(data.readings, base_temperature_c=base_c) if known else (NoCorrection(),)
+    return baseline_scores(data.readings, methods, seed=arguments.seed)
+
+
+def _training_s(arguments: argparse.Namespace, method: "Method") -> float:
+    """About what one training takes: where individuals are trained before they are rated, dozens of times more."""
+    entry = METHODS[method.name]
+    trained = (
+        entry.paper_network and (arguments.fitness or STATED_DEFAULTS["fitness"]) != STATED_DEFAULTS["fitness"]
+    )
+    return TRAINED_FITNESS_S if trained else entry.seconds
+
+
+def _sweep(
+    arguments: argparse.Namespace, surroundings: Surroundings, data: "TrainingSet", method: "Method"
+) -> "HiddenNodeSweep | None":
+    """Numbers of hidden nodes for the report; None: no network, not wanted, or seconds turn into a minute."""
+    from trueangle_training.evaluation.held_out import temperature_folds
+    from trueangle_training.hidden_node_sweep import announced_sweep
+
+    quick = len(temperature_folds(data.readings)) <= MOST_FOLDS or METHODS[method.name].paper_network
+    if arguments.held_out == "none" or not (quick or arguments.held_out == "temperature"):
+        return None
+    return announced_sweep(surroundings.err, data.readings, method, seed=arguments.seed)
 
 
 def _budget(inputs: TrainInputs) -> "UncertaintyBudget":
@@ -264,7 +342,7 @@ def _metadata(
     data: "TrainingSet",
     method: "Method",
     fit: "Fit",
-    held_out: "HeldOut | None",
+    judged: "HeldOut | str",
     budget: "UncertaintyBudget",
 ) -> ModelMetadata:
     from trueangle_training.dataset import centred_rms
@@ -273,7 +351,9 @@ def _metadata(
     readings, joint = data.readings, inputs.joint
     settings = document_from_plain(dict(fit.settings), source="options")
     residual = readings.error_arcsec - fit.model.error_arcsec(readings.angle_deg, readings.temperature_c)
+    held_out = None if isinstance(judged, str) else judged
     rmse = None if held_out is None else held_out.rmse_arcsec
+    unjudged = (f"not judged at left-out temperatures: {judged}",) if isinstance(judged, str) else ()
     if fit.model.datum_deg != data.datum_deg:
         found = f"{fit.model.datum_deg:g} deg"
         raise ContractError([Fault(where="model", expected=f"datum {data.datum_deg:g} deg", found=found)])
@@ -295,9 +375,9 @@ def _metadata(
             held_out_kind=None if held_out is None or rmse is None else held_out.kind.value,
         ),
         seed=arguments.seed,
-        versions=package_versions(),
+        versions=package_versions(torch=METHODS[method.name].paper_network),
         probes=model_probes(
             fit.model, datum_deg=data.datum_deg, temperature_c=data.valid_temperature_c, budget=budget
         ),
-        notes=(*data.notes, *_binding_notes(inputs), *fit.notes),
+        notes=(*data.notes, *data.warnings, *_binding_notes(inputs), *unjudged, *fit.notes),
     )

@@ -14,7 +14,7 @@ from trueangle.contract.metadata import CalibrationRecord, ReferenceRecord
 from trueangle_training.command import Surroundings
 from trueangle_training.dataset import without_rows
 from trueangle_training.documents import load_joint
-from trueangle_training.files import check_writable, read_whole
+from trueangle_training.files import check_distinct, check_writable, read_whole
 from trueangle_training.train_options import option_faults
 
 DEFAULT_BASE_TEMPERATURE_C = 20.0
@@ -40,19 +40,29 @@ def train_inputs(arguments: argparse.Namespace, surroundings: Surroundings) -> T
         check_writable(arguments.output)
         if arguments.report is not None:
             check_writable(arguments.report)
-        _check_not_an_input(arguments)
+        check_distinct(
+            {"--output": arguments.output, "--report": arguments.report},
+            {
+                "CALIBRATION.csv": arguments.calibration,
+                "--joint": arguments.joint,
+                "--from-simulator": arguments.from_simulator,
+                "--plan": arguments.plan,
+            },
+        )
     except ContractError as error:
         faults += error.faults
+    faults += _source_faults(arguments)
     try:
-        joint = None if arguments.joint is None else load_joint(arguments.joint)
+        described = arguments.joint or arguments.from_simulator
+        joint = None if described is None else load_joint(described)
         encoder = _encoder(arguments, joint)
     except ContractError as error:
         faults += error.faults
     try:
-        campaign = read_campaign(read_whole(arguments.calibration), source=str(arguments.calibration))
-        if arguments.exclude_rows:
+        campaign = _campaign(arguments, joint)
+        if campaign is not None and arguments.exclude_rows:
             campaign = without_rows(campaign, arguments.exclude_rows)
-        record = _calibration_record(arguments, surroundings, campaign)
+        record = None if campaign is None else _calibration_record(arguments, surroundings, campaign)
     except ContractError as error:
         faults += error.faults
     if faults or campaign is None or record is None:
@@ -60,11 +70,32 @@ def train_inputs(arguments: argparse.Namespace, surroundings: Surroundings) -> T
     return TrainInputs(campaign=campaign, joint=joint, encoder=encoder, record=record)
 
 
-def _check_not_an_input(arguments: argparse.Namespace) -> None:
-    for given in (arguments.calibration, arguments.joint):
-        if given is not None and given.exists() and arguments.output.exists() and given.samefile(arguments.output):
-            expected = "another file than the inputs"
-            raise ContractError([Fault(where="--output", expected=expected, found=str(arguments.output))])
+def _source_faults(arguments: argparse.Namespace) -> list[Fault]:
+    """Exactly one of a campaign file and a joint to simulate; what belongs to the one stands beside no other."""
+    measured, simulated = arguments.calibration is not None, arguments.from_simulator is not None
+    faults: list[Fault] = []
+    if measured == simulated:
+        expected = "CALIBRATION.csv or --from-simulator JOINT.yaml"
+        faults.append(Fault(where="arguments", expected=expected, found="both" if measured else "neither"))
+    if simulated and arguments.joint is not None:
+        expected = "the joint from --from-simulator only"
+        faults.append(Fault(where="--joint", expected=expected, found=str(arguments.joint)))
+    if arguments.plan is not None and not simulated:
+        expected = "--from-simulator JOINT.yaml beside it"
+        faults.append(Fault(where="--plan", expected=expected, found="a campaign that is measured"))
+    return faults
+
+
+def _campaign(arguments: argparse.Namespace, joint: Joint | None) -> Campaign | None:
+    """Measured or simulated; None: there is no joint to simulate, which is a fault of its own."""
+    if arguments.calibration is not None:
+        return read_campaign(read_whole(arguments.calibration), source=str(arguments.calibration))
+    if joint is None or arguments.from_simulator is None:
+        return None
+    # Draws in the effects, which no measured campaign needs.
+    from trueangle_training.train_simulation import simulated_calibration
+
+    return simulated_calibration(joint, arguments.plan, seed=arguments.seed, source=arguments.from_simulator)
 
 
 def _encoder(arguments: argparse.Namespace, joint: Joint | None) -> JointEncoder | None:
@@ -105,7 +136,7 @@ def _calibration_record(
 ) -> CalibrationRecord:
     date = arguments.calibrated or surroundings.today.isoformat()
     values = {
-        "id": f"{arguments.calibration.stem}-{campaign.sha256[:12]}",
+        "id": f"{_calibration_name(arguments)}-{campaign.sha256[:12]}",
         "file_sha256": campaign.sha256,
         "readings": len(campaign),
         "date": date,
@@ -122,6 +153,13 @@ def _calibration_record(
     if faults:
         raise ContractError(faults)
     return record
+
+
+def _calibration_name(arguments: argparse.Namespace) -> str:
+    """Of the campaign in the model file: a simulated one must not pass for a measurement."""
+    if arguments.calibration is not None:
+        return arguments.calibration.stem
+    return f"simulation-{arguments.from_simulator.stem}"
 
 
 def base_temperature_c(arguments: argparse.Namespace, joint: Joint | None) -> float:

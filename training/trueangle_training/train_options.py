@@ -1,8 +1,9 @@
 """The methods and their options on the command line: each option left out keeps the method's own default."""
 
 import argparse
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 from trueangle.contract.errors import ContractError, Fault
 from trueangle_training.methods import Method
@@ -14,20 +15,27 @@ if TYPE_CHECKING:
 AUTO = "auto"
 FITNESS_CHOICES = ("untrained", "after_lm", "after_lm_handed_on")
 MUTATION_CHOICES = ("as-meant", "as-printed")
-PAPER_OPTIONS = (
-    "order",
-    "hidden_nodes",
-    "individuals",
-    "generations",
-    "fitness",
-    "fitness_lm_steps",
-    "mutation",
-    "initial_range",
-    "epochs",
-    "accepted_steps",
-    "patience",
-    "validation_fraction",
-)
+STATED_DEFAULTS: Mapping[str, str | float | None] = {
+    "order": None,
+    "hidden_nodes": 20,
+    "individuals": 30,
+    "generations": 25,
+    "fitness": "untrained",
+    "fitness_lm_steps": 20,
+    "mutation": "as-meant",
+    "initial_range": 1.0,
+    "parameter_bound": None,
+    "epochs": 100,
+    "accepted_steps": None,
+    "patience": 6,
+    "lm_damping": 1e-3,
+    "lm_accepted_factor": 0.1,
+    "lm_rejected_factor": 10.0,
+    "validation_fraction": 0.1,
+}
+"""Of fe-gabpnn-paper, by option; repeated here because the method itself draws in torch, for which nobody waits
+who asks for help. None: what the help says in words."""
+PAPER_OPTIONS = tuple(STATED_DEFAULTS)
 
 
 def add_method_options(parser: argparse.ArgumentParser) -> None:
@@ -42,21 +50,59 @@ def add_method_options(parser: argparse.ArgumentParser) -> None:
         f"(default {DEFAULT_METHOD})".replace("%", "%%"),
     )
     networks = ", ".join(name for name, entry in METHODS.items() if entry.paper_network)
-    group = parser.add_argument_group(f"the paper's networks: {networks} (left out: the method's default)")
-    group.add_argument("--order", type=int, metavar="N", help="harmonics of the base")
-    group.add_argument("--hidden-nodes", type=int, metavar="N", help="nodes of the hidden layer")
-    group.add_argument("--individuals", type=int, metavar="N", help="individuals of the genetic algorithm")
-    group.add_argument("--generations", type=int, metavar="N", help="generations; 0: random initial weights only")
-    group.add_argument("--fitness", choices=FITNESS_CHOICES, help="what an individual is rated by")
-    group.add_argument("--fitness-lm-steps", type=int, metavar="N", help="steps before rating, unless untrained")
-    group.add_argument("--mutation", choices=MUTATION_CHOICES, help="which reading of eq. (10)")
-    group.add_argument("--initial-range", type=float, metavar="X", help="initial weights lie within -X to X")
-    group.add_argument("--epochs", type=int, metavar="N", help="Levenberg-Marquardt trial steps at most")
-    group.add_argument("--accepted-steps", type=int, metavar="N", help="and accepted ones (epochs of trainlm)")
+    group = parser.add_argument_group(f"the paper's networks: {networks}")
+    _add_genetic_options(group)
+    _add_training_options(group)
+
+
+class _Group(Protocol):
+    """Of argparse, whose own class is private."""
+
+    def add_argument(self, *name_or_flags: str, **settings: Any) -> argparse.Action:
+        """As argparse has it."""
+        ...
+
+
+def _add(group: _Group, name: str, kind: type, metavar: str, text: str, default: str | None = None) -> None:
+    """One option; `default` in words where a number alone does not say it."""
+    stated = STATED_DEFAULTS[name]
+    words = default or (f"{stated:g}" if isinstance(stated, int | float) else str(stated))
+    group.add_argument(f"--{name.replace('_', '-')}", type=kind, metavar=metavar, help=f"{text} (default {words})")
+
+
+def _add_genetic_options(group: _Group) -> None:
+    only_first = "with fe-bpnn and bpnn"
+    _add(group, "order", int, "N", "harmonics of the base", "11, or as many as the angles allow")
+    _add(group, "hidden_nodes", int, "N", "nodes of the hidden layer", "20; 25 with bpnn")
+    _add(group, "individuals", int, "N", "individuals of the genetic algorithm", f"30; 1 {only_first}")
+    _add(group, "generations", int, "N", "generations; 0: random initial weights only", f"25; 0 {only_first}")
     group.add_argument(
-        "--patience", type=int, metavar="N", help="steps without a better validation before stopping"
+        "--fitness",
+        choices=FITNESS_CHOICES,
+        help="what an individual is rated by: its own weights, eq. (7) to the letter; weights after some "
+        "Levenberg-Marquardt steps; or the same with these weights handed on to the training "
+        f"(default {STATED_DEFAULTS['fitness']})",
     )
-    group.add_argument("--validation-fraction", type=float, metavar="X", help="share kept back for early stopping")
+    _add(group, "fitness_lm_steps", int, "N", "steps before rating, unless untrained")
+    group.add_argument(
+        "--mutation",
+        choices=MUTATION_CHOICES,
+        help="which reading of eq. (10): as printed, both branches lower the parameter, surely a misprint "
+        f"(default {STATED_DEFAULTS['mutation']})",
+    )
+    _add(group, "initial_range", float, "X", "initial weights lie within -X to X")
+    bounds = "the largest and smallest of the parameter in the population, as in the paper"
+    _add(group, "parameter_bound", float, "X", "a_max = X and a_min = -X of eq. (10)", bounds)
+
+
+def _add_training_options(group: _Group) -> None:
+    _add(group, "epochs", int, "N", "Levenberg-Marquardt trial steps at most")
+    _add(group, "accepted_steps", int, "N", "and accepted ones (epochs of trainlm)", "no limit of their own")
+    _add(group, "patience", int, "N", "accepted steps without a better validation before stopping")
+    _add(group, "lm_damping", float, "X", "first damping of Levenberg-Marquardt")
+    _add(group, "lm_accepted_factor", float, "X", "factor of the damping after a step that is taken")
+    _add(group, "lm_rejected_factor", float, "X", "and after one that is dropped")
+    _add(group, "validation_fraction", float, "X", "share of the readings kept back for early stopping")
 
 
 def chosen_method(arguments: argparse.Namespace, *, base_temperature_c: float) -> Method:
@@ -78,6 +124,8 @@ def option_faults(arguments: argparse.Namespace) -> list[Fault]:
         if getattr(arguments, name) < lowest:
             found = str(getattr(arguments, name))
             faults.append(Fault(where=f"--{name}", expected=f"{lowest} or more", found=found))
+    if arguments.epochs is not None and arguments.epochs < 1:
+        faults.append(Fault(where="--epochs", expected="1 or more", found=str(arguments.epochs)))
     entry = METHODS.get(arguments.method)
     given = [name for name in PAPER_OPTIONS if getattr(arguments, name) is not None]
     if given and (entry is None or not entry.paper_network):
@@ -104,11 +152,15 @@ def _with_options(options: "FeGabpnnOptions", arguments: argparse.Namespace) -> 
         generations=arguments.generations,
         mutation_form=mutation,
         initial_range=arguments.initial_range,
+        parameter_bound=arguments.parameter_bound,
     )
     training = _given(
         max_epochs=arguments.epochs,
         max_accepted_steps=arguments.accepted_steps,
         patience=arguments.patience,
+        initial_damping=arguments.lm_damping,
+        accepted_factor=arguments.lm_accepted_factor,
+        rejected_factor=arguments.lm_rejected_factor,
     )
     try:
         return replace(

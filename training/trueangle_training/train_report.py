@@ -6,7 +6,10 @@ import numpy as np
 
 from trueangle.contract.metadata import ModelMetadata
 from trueangle_training.dataset import TrainingSet, centred_rms
-from trueangle_training.evaluation.held_out import HeldOut, repeatability_arcsec
+from trueangle_training.evaluation.baselines import BaselineScore
+from trueangle_training.evaluation.datum_drift import shows_datum_drift
+from trueangle_training.evaluation.held_out import HeldOut
+from trueangle_training.evaluation.reading_noise import held_out_caution, reading_noise
 from trueangle_training.methods import Fit
 from trueangle_training.methods.choice import Choice
 from trueangle_training.uncertainty import UncertaintyBudget, total_uncertainty_arcsec
@@ -14,7 +17,11 @@ from trueangle_training.uncertainty import UncertaintyBudget, total_uncertainty_
 HELD_OUT_NOTE = "(each temperature in turn was not trained on; runs centred, noise of the readings included)"
 IN_SAMPLE_NOTE = "(the readings it was trained on: says little about other angles and temperatures)"
 SERVED_NOTE = "(the same readings as they would be served: each run's first reading adds its noise to the run)"
-DATUM_NOTE = "a drift that is the same at all angles: runs zeroed one by one (Eq. 11) cannot show it"
+DATUM_UNSEEN = "a drift that is the same at all angles: runs zeroed one by one (Eq. 11) cannot show it"
+DATUM_SHOWN = (
+    "by runs of different temperatures that share a zero: see the report; the correction does not contain it, it "
+    "counts from the datum at the same temperature"
+)
 GRID_ANGLES, GRID_TEMPERATURES = 360, 13
 
 
@@ -23,6 +30,7 @@ def report_lines(
     data: TrainingSet,
     fit: Fit,
     held_out: HeldOut | None,
+    baselines: tuple[BaselineScore, ...],
     budget: UncertaintyBudget,
     *,
     source: str,
@@ -31,7 +39,7 @@ def report_lines(
     readings = data.readings
     angle, temperature = metadata.valid_angle_deg, metadata.valid_temperature_c
     left = readings.error_arcsec - fit.model.error_arcsec(readings.angle_deg, readings.temperature_c)
-    noise = repeatability_arcsec(readings)
+    noise = reading_noise(readings)
     rows = [
         ("joint", metadata.joint),
         ("method", f"{metadata.method}, seed {metadata.seed}"),
@@ -44,18 +52,29 @@ def report_lines(
             ("left-out temp.", f"{held_out.rmse_arcsec:.2f} arcsec RMS, at most {largest:.2f} {HELD_OUT_NOTE}")
         )
         rows += [("not held out", text) for text in held_out.refused]
-    if noise is not None:
-        rows.append(("repeatability", f"{noise:.2f} arcsec of one reading: the floor of every figure of readings"))
+        far = held_out_caution(held_out.rmse_arcsec, None if noise is None else noise.sigma_arcsec)
+        rows += [] if far is None else [("caution", far)]
+    if noise is not None and noise.from_repeats:
+        text = f"{noise.sigma_arcsec:.2f} arcsec of one reading: the floor of every figure of readings"
+        rows.append(("repeatability", text))
     rows += [
         ("in-sample RMSE", f"{centred_rms(left, readings):.2f} arcsec {IN_SAMPLE_NOTE}"),
+        *(("baseline", _baseline_text(each)) for each in baselines),
         ("from the datum", f"{float(np.sqrt(np.mean(left**2))):.2f} arcsec {SERVED_NOTE}"),
         ("uncertainty", _uncertainty_text(metadata, fit, budget)),
-        ("not visible", DATUM_NOTE),
+        ("datum's drift", DATUM_SHOWN) if shows_datum_drift(readings) else ("not visible", DATUM_UNSEEN),
         ("valid angles", f"{angle.minimum:g} .. {angle.maximum:g} deg"),
         ("valid temp.", f"{temperature.minimum:g} .. {temperature.maximum:g} degC"),
-        *(("note", note) for note in metadata.notes),
+        # Warnings were told before the training.
+        *(("note", note) for note in metadata.notes if note not in data.warnings),
     ]
     return (f"{name:<17}{text}" for name, text in rows)
+
+
+def _baseline_text(score: BaselineScore) -> str:
+    """What the figures of the model are to be held against."""
+    left_out = "" if score.left_out_rmse_arcsec is None else f"left-out temp. {score.left_out_rmse_arcsec:.2f}, "
+    return f"{score.name}: {left_out}in-sample {score.in_sample_rmse_arcsec:.2f} arcsec RMS"
 
 
 def _uncertainty_text(metadata: ModelMetadata, fit: Fit, budget: UncertaintyBudget) -> str:

@@ -203,6 +203,8 @@ def campaign_to_csv(campaign: Campaign, *, comments: Iterable[str] = ()) -> str:
 
 
 def _cells(name: str, values: NDArray[np.float64] | NDArray[np.int64]) -> list[str]:
+    if name == "direction":
+        return [str(int(value)) if value else "" for value in values]
     if name in INTEGER_COLUMNS:
         return [str(int(value)) for value in values]
     return ["" if math.isnan(value) else repr(float(value)) for value in values]

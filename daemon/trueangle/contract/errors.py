@@ -1,7 +1,12 @@
 """Errors that daemon and laboratory share; the type says who must act."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+
+LONGEST_WORD = 100
+"""Quoted from an input, without a space; a cell may hold thousands of digits, which would push all else away."""
+WORD_SHOWN = 40
 
 
 class TrueangleError(Exception):
@@ -19,8 +24,15 @@ class Fault:
     advice: str = ""
 
     def __str__(self) -> str:
-        text = f"{self.where}: expected {self.expected}, found {self.found}"
+        text = f"{self.where}: expected {self.expected}, found {_cut(self.found)}"
         return f"{text}; {self.advice}" if self.advice else text
+
+
+def _cut(text: str) -> str:
+    """The text with overlong words shortened."""
+    return re.sub(
+        rf"\S{{{LONGEST_WORD},}}", lambda word: f"{word[0][:WORD_SHOWN]}... ({len(word[0])} characters)", text
+    )
 
 
 class ContractError(TrueangleError):

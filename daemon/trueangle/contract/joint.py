@@ -4,7 +4,7 @@ One versioned schema for simulate, train and diagnose. A parameter that is left 
 `simulate` needs it and says so.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Annotated, Any
@@ -184,15 +184,114 @@ class PlanZero(Enum):
     """Polygon, encoder and autocollimator are left as they are over all temperatures: one zero for all runs."""
 
 
+class SegmentKind(Enum):
+    """What a segment's readings are compared with."""
+
+    POLYGON = "polygon"
+    """Face after face under the autocollimator; the shaft stands still at each reading."""
+    SWEEP = "sweep"
+    """A reference encoder, at any angles; the shaft may move."""
+
+
+SetPoint = Annotated[float, Range(minimum=-50, maximum=150)]
+Approach = Annotated[int, Range(minimum=-1, maximum=1)]
+
+
+def _direction_faults(directions: Sequence[int]) -> list[Fault]:
+    if directions and 0 not in directions and len(set(directions)) == len(directions):
+        return []
+    return [Fault(where="directions", expected="1, -1 or both, each once", found=str(list(directions)))]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Segment:
+    """A block of readings after those of the plan itself.
+
+    At each temperature, `repeats` times: every load, at every speed, in every direction, in this order of nesting.
+    Each of these passes is a run of its own, or all of them together are one (`one_run`).
+    """
+
+    kind: SegmentKind
+    temperatures_c: tuple[SetPoint, ...]
+    repeats: Annotated[int, Range(minimum=1, maximum=1000)] = 1
+    directions: tuple[Approach, ...] = (1,)
+    """+1 increasing angle, -1 the same angles backwards."""
+    loads_nm: tuple[Annotated[float, Range(minimum=-10_000, maximum=10_000)], ...] = (0.0,)
+    one_run: bool = False
+    """All passes of a repeat under one set-up and one zero."""
+    zero: PlanZero | None = None
+    """One zero for all runs of the segment (sweeps: of all sweeps), or one for each run; None: polygon per run,
+    sweeps one."""
+    soak_h: Annotated[float, Range(minimum=0, maximum=1000)] | None = None
+    """Before the first run of each temperature, with a ramp before every run; None: as in the plan."""
+    ramp_c_per_h: Annotated[float, Range(minimum=-1000, maximum=1000)] = 0.0
+    """The chamber's temperature from the first reading of each run on."""
+    turns: Annotated[float, Range(minimum=0.001, maximum=1000)] = 1.0
+    """Span of one pass; whole turns with a polygon."""
+    polygon_offset: Annotated[float, Range(minimum=0, maximum=1000)] = 0.0
+    """By how many face pitches the polygon was turned on the shaft; a fraction moves the stops."""
+    from_deg: Annotated[float, Range(minimum=-3600, maximum=3600)] = 0.0
+    """Lowest angle of a sweep."""
+    speeds_deg_s: tuple[Annotated[float, Range(minimum=0, maximum=36_000)], ...] | None = None
+    """Of sweeps: constant speeds; 0: stop and go. None: stop and go."""
+    degrees_per_reading: Annotated[float, Range(minimum=0.001, maximum=36_000)] | None = None
+    """Of sweeps; None: what the speed covers in `seconds_per_reading`."""
+    seconds_per_reading: Annotated[float, Range(minimum=1e-6, maximum=3600)] | None = None
+    """None: with a polygon as in the plan, in a sweep what the speed needs for `degrees_per_reading`."""
+
+    def __post_init__(self) -> None:
+        faults = _direction_faults(self.directions)
+        for name in ("temperatures_c", "loads_nm"):
+            if not getattr(self, name):
+                faults.append(Fault(where=name, expected="at least one", found="none"))
+        faults += self._sweep_faults() if self.kind is SegmentKind.SWEEP else self._polygon_faults()
+        if faults:
+            raise ContractError(faults)
+
+    def _polygon_faults(self) -> list[Fault]:
+        given = (("speeds_deg_s", self.speeds_deg_s), ("degrees_per_reading", self.degrees_per_reading))
+        faults = [
+            Fault(where=name, expected="none beside kind polygon", found=str(value))
+            for name, value in given
+            if value is not None
+        ]
+        if self.from_deg != 0.0:
+            faults.append(Fault(where="from_deg", expected="0 beside kind polygon", found=f"{self.from_deg:g}"))
+        if not float(self.turns).is_integer():
+            faults.append(Fault(where="turns", expected="whole turns of a polygon", found=f"{self.turns:g}"))
+        return faults
+
+    def _sweep_faults(self) -> list[Fault]:
+        faults: list[Fault] = []
+        if self.polygon_offset != 0.0:
+            found = f"{self.polygon_offset:g}"
+            faults.append(Fault(where="polygon_offset", expected="0 beside kind sweep", found=found))
+        speeds = self.stepping_speeds_deg_s
+        if not speeds or (0.0 in speeds and len(speeds) > 1):
+            expected = "speeds above 0, or 0 alone for stop and go"
+            return [*faults, Fault(where="speeds_deg_s", expected=expected, found=str(list(speeds)))]
+        given = (self.degrees_per_reading is not None) + (self.seconds_per_reading is not None)
+        if given != (2 if 0.0 in speeds else 1):
+            expected = "both in stop and go" if 0.0 in speeds else "one of the two at a constant speed"
+            where = "degrees_per_reading, seconds_per_reading"
+            faults.append(Fault(where=where, expected=expected, found=("neither", "one", "both")[given]))
+        return faults
+
+    @property
+    def stepping_speeds_deg_s(self) -> tuple[float, ...]:
+        """The speeds at which readings are taken, 0 where the shaft stands."""
+        return (0.0,) if self.speeds_deg_s is None else self.speeds_deg_s
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """PLAN.yaml: which angles at which temperatures, how often."""
+    """PLAN.yaml: which angles at which temperatures, how often; then what the segments add."""
 
     schema_version: Annotated[int, Range(minimum=SCHEMA_VERSION, maximum=SCHEMA_VERSION)]
     faces: Annotated[int, Range(minimum=3, maximum=1000)]
-    temperatures_c: tuple[Annotated[float, Range(minimum=-50, maximum=150)], ...]
+    temperatures_c: tuple[SetPoint, ...]
     repeats: Annotated[int, Range(minimum=1, maximum=1000)]
-    directions: tuple[Annotated[int, Range(minimum=-1, maximum=1)], ...] = (1,)
+    directions: tuple[Approach, ...] = (1,)
     """Each repeat is measured once in each of these directions: +1 increasing angle, -1 decreasing."""
     shift_faces: Annotated[float, Range(minimum=0, maximum=1000)] = 0.0
     """Repeat k is measured with the polygon turned on the shaft by k times this many face pitches."""
@@ -203,17 +302,18 @@ class Plan:
     seconds_per_reading: Annotated[float, Range(minimum=0, maximum=3600)] = 15.0
     zero: PlanZero = PlanZero.PER_RUN
     """One zero shows how the datum itself moves with temperature; turning the polygon on the shaft loses it."""
+    segments: tuple[Segment, ...] = ()
+    """With segments `temperatures_c` may be empty: then there is nothing else."""
+    chamber_c_per_h: Annotated[float, Range(minimum=0.1, maximum=100_000)] | None = None
+    """How fast the chamber goes to a new set point when a soak begins; None: at once."""
 
     def __post_init__(self) -> None:
-        faults: list[Fault] = []
+        faults = _direction_faults(self.directions)
         if self.zero is PlanZero.ONE and self.shift_faces != 0:
             expected = "0 beside zero: one, as a polygon turned on the shaft has a new zero"
             faults.append(Fault(where="shift_faces", expected=expected, found=f"{self.shift_faces:g}"))
-        if not self.temperatures_c:
+        if not self.temperatures_c and not self.segments:
             faults.append(Fault(where="temperatures_c", expected="at least one temperature", found="none"))
-        if not self.directions or 0 in self.directions or len(set(self.directions)) < len(self.directions):
-            found = str(list(self.directions))
-            faults.append(Fault(where="directions", expected="1, -1 or both, each once", found=found))
         if faults:
             raise ContractError(faults)
 
@@ -225,7 +325,8 @@ def plan_from_document(document: Node) -> Plan:
 
 def plan_to_plain(plan: Plan) -> dict[str, Any]:
     """The plan as YAML data; reading it back gives an equal plan."""
-    return plain(plan)
+    values: dict[str, Any] = plain(plan)
+    return values if plan.segments else {name: value for name, value in values.items() if name != "segments"}
 
 
 def effect_settings(values: Mapping[str, Any], *, name: str) -> Node:

@@ -18,6 +18,8 @@ Integers = NDArray[np.int64]
 
 MAX_FAULTS = 20
 """More faults than this are counted, not listed."""
+LARGEST = 1e18
+"""No instrument gives more, and sums and squares of numbers below it stay finite, so nobody else need ask."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -154,8 +156,10 @@ def _numbers(name: str, texts: list[str], lines: Integers, source: str, faults: 
             number = float(text) if "_" not in text else math.nan
         except ValueError:
             number = math.nan
+        where = f"{source} line {lines[index]}, column {name}"
         if not math.isfinite(number):
-            where = f"{source} line {lines[index]}, column {name}"
             faults.append(Fault(where=where, expected="a finite number", found=repr(text)))
+        elif abs(number) > LARGEST:
+            faults.append(Fault(where=where, expected=f"a number from -{LARGEST:g} to {LARGEST:g}", found=text))
         values[index] = number
     return values

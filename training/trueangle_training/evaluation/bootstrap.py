@@ -1,4 +1,7 @@
-"""Intervals by resampling runs: a run shares its zero and its temperature, so it is drawn or left as a whole."""
+"""Intervals by resampling runs: a run shares its zero and its temperature, so it is drawn or left as a whole.
+
+Where there is one run its readings are drawn one by one: less sure, as neighbours may err alike.
+"""
 
 from dataclasses import dataclass
 
@@ -16,7 +19,7 @@ LEVEL = 0.95
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
-    """A figure and its 95 % percentile interval over resampled runs."""
+    """A figure and its 95 % percentile interval over resampled runs, or readings of a single run."""
 
     value: float
     low: float
@@ -24,8 +27,10 @@ class Estimate:
 
 
 def _per_run(held_out: HeldOut, run: Integers) -> tuple[Floats, Floats]:
-    """Sum of squares and degrees of freedom of each run, [runs]."""
+    """Sum of squares and degrees of freedom of each run, [runs], or of each reading of a single run."""
     index = np.unique(run, return_inverse=True)[1]
+    if index.max() == 0:
+        index = np.arange(run.size)
     squares = np.bincount(index, weights=np.nan_to_num(held_out.residual_arcsec) ** 2).astype(np.float64)
     return squares, np.bincount(index, weights=held_out.degrees_of_freedom).astype(np.float64)
 

@@ -12,6 +12,7 @@ from trueangle_training.evaluation.held_out import SAME_PLACE_DEG, HeldOut, Held
 from trueangle_training.evaluation.truth import TrueError, oracle, true_error
 from trueangle_training.methods import FittedModel, Method, TrainingReadings, UnsuitableReadingsError
 from trueangle_training.methods.separable import harmonics
+from trueangle_training.methods.stages import StagedMethod, Stages
 from trueangle_training.simulator.joint import SimulatedJoint
 
 Floats = NDArray[np.float64]
@@ -30,7 +31,7 @@ class HeldOutScore:
     rmse: Estimate
     largest_arcsec: float
     coverage: float | None
-    """Share within 2 sqrt(u² + s²), u of the method and s the repeatability; None: the method knows no u."""
+    """Share within 2 sqrt(u² + s²), u of the method and s the noise of a reading; None: the method knows no u."""
     refused: tuple[str, ...]
     """What could not be left out, and why."""
 
@@ -90,7 +91,7 @@ def compare_methods(
     readings: TrainingReadings,
     methods: tuple[Method, ...],
     *,
-    repeatability_arcsec: float | None,
+    noise_arcsec: float | None,
     joint: SimulatedJoint | None,
     seed: int,
     clock: Callable[[], float],
@@ -111,6 +112,7 @@ def compare_methods(
 
     trained: list[_Trained] = []
     unsuited = list(refused)
+    stages = Stages()
     for method in methods:
         started_s = clock()
         try:
@@ -120,14 +122,16 @@ def compare_methods(
             continue
         seconds = clock() - started_s
         step()
+        # The training above shares nothing, so that its time is what the method costs by itself.
+        tried = method.sharing(stages) if isinstance(method, StagedMethod) else method
         held_out = {
-            kind: hold_out(readings, method, kind, folds, seed=seed, progress=step) for kind, folds in kinds
+            kind: hold_out(readings, tried, kind, folds, seed=seed, progress=step) for kind, folds in kinds
         }
         trained.append(_Trained(name=method.name, seconds=seconds, model=model, held_out=held_out))
     yardstick = None
     if joint is not None:
         yardstick = true_error(oracle(readings, joint), joint, readings)
-    scores = [_score(each, trained, readings, repeatability_arcsec, joint, yardstick) for each in trained]
+    scores = [_score(each, trained, readings, noise_arcsec, joint, yardstick) for each in trained]
     return Comparison(scores=tuple(sorted(scores, key=_rank)), refused=tuple(unsuited), oracle=yardstick)
 
 
@@ -140,7 +144,7 @@ def _score(
     each: _Trained,
     trained: list[_Trained],
     readings: TrainingReadings,
-    repeatability_arcsec: float | None,
+    noise_arcsec: float | None,
     joint: SimulatedJoint | None,
     yardstick: TrueError | None,
 ) -> MethodScore:
@@ -155,7 +159,7 @@ def _score(
                 kind=kind,
                 rmse=estimate,
                 largest_arcsec=held_out.largest_arcsec or 0.0,
-                coverage=_coverage(held_out, repeatability_arcsec),
+                coverage=_coverage(held_out, noise_arcsec),
                 refused=held_out.refused,
             )
         )
@@ -209,11 +213,11 @@ def common(one: HeldOut, other: HeldOut) -> tuple[HeldOut, HeldOut]:
     )
 
 
-def _coverage(held_out: HeldOut, repeatability_arcsec: float | None) -> float | None:
-    if held_out.uncertainty_arcsec is None or repeatability_arcsec is None:
+def _coverage(held_out: HeldOut, noise_arcsec: float | None) -> float | None:
+    if held_out.uncertainty_arcsec is None or noise_arcsec is None:
         return None
     known = held_out.known
-    total = np.sqrt(held_out.uncertainty_arcsec[known] ** 2 + repeatability_arcsec**2)
+    total = np.sqrt(held_out.uncertainty_arcsec[known] ** 2 + noise_arcsec**2)
     return float(np.mean(np.abs(held_out.residual_arcsec[known]) <= 2.0 * total))
 
 

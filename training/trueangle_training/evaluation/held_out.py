@@ -30,6 +30,9 @@ magnified noise there, which says nothing of how it does with all of them."""
 FACES_LEFT_OUT = 6
 """Places of the turn that are left out one by one: the last one, at the seam, and others all round."""
 
+FACES_LEFT_OUT_ALONE = 24
+"""Where nothing else can be left out."""
+
 
 class HeldOutKind(Enum):
     """What is left out of the training at a time."""
@@ -114,8 +117,8 @@ def run_folds(readings: TrainingReadings) -> tuple[Fold, ...]:
     )
 
 
-def face_folds(readings: TrainingReadings) -> tuple[Fold, ...]:
-    """Places of the turn left out one by one, the last one before the seam first; never the datum itself.
+def face_folds(readings: TrainingReadings, count: int = FACES_LEFT_OUT) -> tuple[Fold, ...]:
+    """`count` places of the turn left out one by one, the last one before the seam first; never the datum itself.
 
     None where fewer than FEWEST_PLACES were measured.
     """
@@ -125,7 +128,7 @@ def face_folds(readings: TrainingReadings) -> tuple[Fold, ...]:
     if starts.size < FEWEST_PLACES:
         return ()
     place = np.searchsorted(starts, from_datum, side="right") - 1
-    chosen = np.unique(np.linspace(starts.size - 1, 1, FACES_LEFT_OUT).astype(np.int64))[::-1]
+    chosen = np.unique(np.linspace(starts.size - 1, 1, count).astype(np.int64))[::-1]
     return tuple(
         Fold(label=f"{_circular_mean_deg(readings.angle_deg[place == each]):.1f} deg", left_out=place == each)
         for each in chosen
@@ -215,9 +218,11 @@ def _offset_of_others(
 
 def all_folds(readings: TrainingReadings) -> Iterator[tuple[HeldOutKind, tuple[Fold, ...]]]:
     """Every kind with its folds."""
-    yield HeldOutKind.TEMPERATURE, temperature_folds(readings)
-    yield HeldOutKind.RUN, run_folds(readings)
-    yield HeldOutKind.FACE, face_folds(readings)
+    temperatures, runs = temperature_folds(readings), run_folds(readings)
+    yield HeldOutKind.TEMPERATURE, temperatures
+    yield HeldOutKind.RUN, runs
+    alone = not temperatures and not runs
+    yield HeldOutKind.FACE, face_folds(readings, FACES_LEFT_OUT_ALONE if alone else FACES_LEFT_OUT)
 
 
 def repeatability_arcsec(readings: TrainingReadings) -> float | None:

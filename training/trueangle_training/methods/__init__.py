@@ -13,8 +13,9 @@ What to use when
   Deterministic, milliseconds, needs no torch. The one to look at first.
 - `best`: the average of the network, the kernels and shapes shared by all harmonics; seconds instead of a fraction
   of one. On usual joints no better than the others, on odd shapes over temperature (bumps, waves, steps) clearly.
-- `fe-gabpnn-paper`: the paper's method to the letter, to reproduce the paper and to compare with it. Needs a base
-  temperature; between the last face and the end of the turn it extrapolates.
+- `fe-gabpnn-paper`: the paper's equations (1)-(10) to the letter but for the misprint in (10), to reproduce the
+  paper and to compare with it. Needs a base temperature; between the last face and the end of the turn it
+  extrapolates.
 - `fe-bpnn`, `bpnn`, `poly2d`, `fepf`, `harmonics-poly`, `angle-only`: what the paper and its predecessor compare
   with.
 

@@ -28,7 +28,7 @@ def fit_base_series(readings: TrainingReadings, *, base_temperature_c: float, or
     at_base = np.abs(run_mean_c - base_temperature_c) <= SAME_TEMPERATURE_C
     faults = _extent_faults(readings, run_mean_c)
     if at_base.any():
-        faults += _angle_faults(angle_deg[at_base], order)
+        faults += base_angle_faults(angle_deg[at_base], order, base_temperature_c)
     else:
         faults.append(_no_base_fault(run_mean_c, base_temperature_c))
     if faults:
@@ -70,11 +70,12 @@ def _no_base_fault(run_mean_c: Floats, base_temperature_c: float) -> Fault:
     )
 
 
-def _angle_faults(angle_deg: Floats, order: int | None) -> list[Fault]:
-    """Angles at the base temperature that do not determine the series."""
+def base_angle_faults(angle_deg: Floats, order: int | None, base_temperature_c: float) -> list[Fault]:
+    """Angles [readings at the base temperature], in [0, 360), that do not determine the series."""
+    at_base = f"at the base temperature {base_temperature_c:g} degC"
     places = distinct_angle_count(angle_deg)
     if places < 3:
-        expected = "at least 3 distinct angles at the base temperature, for harmonic 1"
+        expected = f"at least 3 distinct angles {at_base}, for harmonic 1"
         advice = "measure complete turns over a polygon"
         return [Fault(where="angle_deg", expected=expected, found=str(places), advice=advice)]
     harmonics = _order(angle_deg, order)
@@ -84,8 +85,8 @@ def _angle_faults(angle_deg: Floats, order: int | None) -> list[Fault]:
     return [
         Fault(
             where="angle_deg",
-            expected=f"angles all around the circle that determine harmonics up to {harmonics}",
+            expected=f"angles all around the circle {at_base} that determine harmonics up to {harmonics}",
             found=f"{places} angles with gaps: condition {condition:.3g}, allowed {WORST_CONDITION:g}",
-            advice="measure in the gaps, or ask for a lower order",
+            advice="measure in the gaps, choose another base temperature, or ask for a lower order",
         )
     ]

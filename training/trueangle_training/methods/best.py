@@ -6,15 +6,16 @@ that kernels smear, and is lost where its few hidden nodes cannot follow; its ev
 estimators differ by counts as uncertainty.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from trueangle_training.methods import Fit, Progress, TrainingReadings, no_progress
-from trueangle_training.methods.fe_gabpnn import DEFAULT_SETTINGS, FeGabpnnSettings, fit_networks
-from trueangle_training.methods.linear import LinearFit, fit_linear, plan_notes, plan_settings
+from trueangle_training.methods.fe_gabpnn import DEFAULT_SETTINGS, FeGabpnnSettings, staged_networks
+from trueangle_training.methods.linear import LinearFit, plan_notes, plan_settings, staged_linear
 from trueangle_training.methods.low_rank import DEFAULT_SAMPLING, GibbsSettings, fit_low_rank
 from trueangle_training.methods.posterior import HarmonicPosterior, average
+from trueangle_training.methods.stages import Stages
 
 LOW_RANK_SHARE = 0.5
 OCCAM_NATS = 6.0
@@ -41,11 +42,24 @@ class Best:
     sampling: GibbsSettings = DEFAULT_SAMPLING
     name: str = "best"
     summary: str = "average of shared shapes, network and kernels: most accurate, about a second"
+    stages: Stages | None = None
+    """None: every training begins at the beginning."""
+
+    def sharing(self, stages: Stages) -> "Best":
+        """The same with stages shared with other methods."""
+        return replace(self, stages=stages)
 
     def fit(self, readings: TrainingReadings, *, seed: int = 0, progress: Progress = no_progress) -> Fit:
         """Train all three and average; the same readings and seed give the same model."""
-        linear = fit_linear(readings)
-        averaged = fit_best(linear, seed=seed, network=self.network, sampling=self.sampling, progress=progress)
+        linear = staged_linear(self.stages, readings)
+        averaged = fit_best(
+            linear,
+            seed=seed,
+            network=self.network,
+            sampling=self.sampling,
+            progress=progress,
+            stages=self.stages,
+        )
         settings = {
             **plan_settings(linear),
             "share_of_low_rank": LOW_RANK_SHARE,
@@ -71,10 +85,13 @@ def fit_best(
     network: FeGabpnnSettings = DEFAULT_SETTINGS,
     sampling: GibbsSettings = DEFAULT_SAMPLING,
     progress: Progress = no_progress,
+    stages: Stages | None = None,
 ) -> BestAverage:
     """Average on a campaign that `linear` has reduced."""
     steps = len(network.hidden_nodes) + 1
-    networks = fit_networks(linear, seed=seed, settings=network, progress=lambda done, _: progress(done, steps))
+    networks = staged_networks(
+        stages, linear, seed=seed, settings=network, progress=lambda done, _: progress(done, steps)
+    )
     low_rank = fit_low_rank(linear, seed=seed, settings=sampling)
     progress(steps, steps)
     advantage = max(networks.log_evidence) - linear.mixture.log_evidence - OCCAM_NATS

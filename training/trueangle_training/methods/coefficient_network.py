@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from trueangle_training.methods.subset_evidence import subset_log_likelihood
 from trueangle_training.methods.temperature_kernels import ContrastLikelihood
 
 Floats = NDArray[np.float64]
@@ -32,6 +33,8 @@ LM_STEPS = 30
 FIRST_DAMPING = 1.0
 TAKEN_FACTOR = 0.2
 DROPPED_FACTOR = 5.0
+CACHE_BYTES = 2**20
+"""Arrays of one step; larger ones are fetched from the system anew each time, which costs more than the sums."""
 SMALLEST_RMS = 1e-6
 """A unit that saturates over the whole campaign is a constant; it must not be blown up to unit size."""
 
@@ -89,8 +92,6 @@ class OutputLayers:
 class _Subsets:
     """Every subset of the hidden units, diagonalised."""
 
-    size: Floats
-    """[subsets]: units used."""
     vectors: Floats
     """[members, orders or 1, subsets, 2 units, 2 units]"""
     values: Floats
@@ -101,25 +102,29 @@ class _Subsets:
     """[members, orders, subsets, slabs]"""
 
 
+def _inner(likelihood: ContrastLikelihood, design: Floats) -> tuple[Floats, Floats]:
+    """B [members, orders or 1, 2 units, 2 units] and w [members, orders, 2 units]."""
+    inner = design.swapaxes(1, 2)[:, None] @ likelihood.precision[None] @ design[:, None]
+    return inner, likelihood.information @ design
+
+
 def _subsets(likelihood: ContrastLikelihood, design: Floats) -> _Subsets:
     units = design.shape[2] // 2
     chosen = np.array([[(number >> unit) & 1 for unit in range(units)] for number in range(2**units)], dtype=float)
     mask = np.concatenate([chosen, chosen], axis=1)
-    transposed = design.swapaxes(1, 2)
-    inner = transposed[:, None] @ likelihood.precision[None] @ design[:, None]
+    inner, weight = _inner(likelihood, design)
     masked = inner[:, :, None] * (mask[:, :, None] * mask[:, None, :])
     values, vectors = np.linalg.eigh(masked)
     values = np.maximum(values, 0.0)
     # Units outside the subset have eigenvalue 0 of their own; they must not lend their slab to the covariance.
     vectors = vectors * mask[:, :, None]
-    weight = np.einsum("pik,ni->pnk", design, likelihood.information)[:, :, None] * mask
-    projected = np.einsum("pnski,pnsk->pnsi", np.broadcast_to(vectors, (*weight.shape, 2 * units)), weight)
+    weight = weight[:, :, None] * mask
+    projected = (weight[..., None, :] @ vectors)[..., 0, :]
     slab = SLAB_DEVIATIONS_ARCSEC**2
     grown = 1.0 + values[..., None] * slab
-    gain = slab / grown
-    log_likelihood = np.sum(projected[..., None] ** 2 * gain, axis=-2) - np.sum(np.log(grown), axis=-2)
+    square = (projected[..., None, :] ** 2 @ (slab / grown))[..., 0, :]
+    log_likelihood = square - np.sum(np.log(grown), axis=-2)
     return _Subsets(
-        size=chosen.sum(axis=1),
         vectors=vectors,
         values=values,
         projected=projected,
@@ -127,21 +132,22 @@ def _subsets(likelihood: ContrastLikelihood, design: Floats) -> _Subsets:
     )
 
 
-def _weigh_subsets(subsets: _Subsets, units: int) -> tuple[Floats, Floats]:
-    """Log evidence [members] and the weight of each subset and slab [members, orders, subsets, slabs]."""
-    members, orders = subsets.log_likelihood.shape[:2]
+def _weigh_subsets(log_likelihood: Floats, units: int) -> tuple[Floats, Floats]:
+    """Log evidence [members] and the weight of each subset and slab, shaped like `log_likelihood`."""
+    size = np.array([number.bit_count() for number in range(2**units)], dtype=np.float64)
+    members, orders = log_likelihood.shape[:2]
     slabs = SLAB_DEVIATIONS_ARCSEC.size
     use = np.full((members, 1), FIRST_USE)
     # Slabs are equally likely, so the sum over them can be taken once.
-    largest = subsets.log_likelihood.max(axis=(2, 3), keepdims=True)
-    relative = np.exp(subsets.log_likelihood - largest)
+    largest = log_likelihood.max(axis=(2, 3), keepdims=True)
+    relative = np.exp(log_likelihood - largest)
     by_subset = relative.sum(axis=3) / slabs
-    evidence, prior = np.empty((members, orders)), np.empty((members, 1, subsets.size.size))
+    evidence, prior = np.empty((members, orders)), np.empty((members, 1, size.size))
     for _ in range(USE_STEPS + 1):
-        prior = (use**subsets.size * (1.0 - use) ** (units - subsets.size))[:, None, :]
+        prior = (use**size * (1.0 - use) ** (units - size))[:, None, :]
         weight = prior * by_subset
         evidence = weight.sum(axis=2)
-        used = np.einsum("pns,s->p", weight / evidence[:, :, None], subsets.size)[:, None]
+        used = np.einsum("pns,s->p", weight / evidence[:, :, None], size)[:, None]
         use = (used + 0.5) / (orders * units + 2.5)
     log_evidence = np.sum(np.log(evidence) + largest[:, :, 0, 0], axis=1)
     weights = prior[..., None] * relative / slabs / evidence[:, :, None, None]
@@ -150,31 +156,76 @@ def _weigh_subsets(subsets: _Subsets, units: int) -> tuple[Floats, Floats]:
 
 def fitness(likelihood: ContrastLikelihood, hidden: HiddenUnits, genes: Floats) -> Floats:
     """What each hidden layer is worth, in nats, [members]."""
-    log_evidence, _ = _weigh_subsets(_subsets(likelihood, hidden.both(genes)), genes.shape[1] // 2)
-    return log_evidence - np.sum(genes**2, axis=1) / (2.0 * GENE_DEVIATION**2)
+
+    def worth(some: Floats) -> Floats:
+        inner, weight = _inner(likelihood, hidden.both(some))
+        subsets = subset_log_likelihood(inner, weight, SLAB_DEVIATIONS_ARCSEC**2)
+        return _weigh_subsets(subsets, some.shape[1] // 2)[0]
+
+    parts = _parts(genes, likelihood, SLAB_DEVIATIONS_ARCSEC.size)
+    return np.concatenate([worth(part) for part in parts]) + _log_prior(genes)
+
+
+def output_means(likelihood: ContrastLikelihood, hidden: HiddenUnits, genes: Floats) -> Floats:
+    """The output weights of each hidden layer, averaged over subsets and slabs, [members, orders, 2 units]."""
+    units = genes.shape[1] // 2
+
+    def means(some: Floats) -> Floats:
+        subsets = _subsets(likelihood, hidden.both(some))
+        return _mean(subsets, _averaged_gain(subsets, _weigh_subsets(subsets.log_likelihood, units)[1]))
+
+    return np.concatenate([means(part) for part in _parts(genes, likelihood, 2**units)])
 
 
 def output_layers(likelihood: ContrastLikelihood, hidden: HiddenUnits, genes: Floats) -> OutputLayers:
-    """The output weights of each hidden layer, averaged over subsets and slabs."""
-    subsets = _subsets(likelihood, hidden.both(genes))
-    log_evidence, weights = _weigh_subsets(subsets, genes.shape[1] // 2)
-    slab = SLAB_DEVIATIONS_ARCSEC**2
-    gain = slab / (1.0 + subsets.values[..., None] * slab)
-    members, orders, count, size = subsets.projected.shape
-    vectors = np.broadcast_to(subsets.vectors, (members, orders, count, size, size))
-    gain = np.broadcast_to(gain, (members, orders, count, size, slab.size))
-    rotated = gain * subsets.projected[..., None]
-    means = vectors @ rotated
-    mean = np.einsum("pnsiz,pnsz->pni", means, weights)
-    averaged = np.einsum("pnsiz,pnsz->pnsi", gain, weights)
-    covariance = np.einsum("pnsik,pnsk,pnsjk->pnij", vectors, averaged, vectors, optimize=True)
-    covariance += np.einsum("pnsiz,pnsz,pnsjz->pnij", means, weights, means, optimize=True)
-    covariance -= mean[..., :, None] * mean[..., None, :]
-    return OutputLayers(
-        fitness=log_evidence - np.sum(genes**2, axis=1) / (2.0 * GENE_DEVIATION**2),
-        mean=mean,
-        covariance=covariance,
+    """`output_means` with the covariance of the weights and the fitness."""
+    parts = _parts(genes, likelihood, 2 ** (genes.shape[1] // 2))
+    log_evidence, mean, covariance = (
+        np.concatenate(part) for part in zip(*(_layers(likelihood, hidden, part) for part in parts), strict=True)
     )
+    return OutputLayers(fitness=log_evidence + _log_prior(genes), mean=mean, covariance=covariance)
+
+
+def _log_prior(genes: Floats) -> Floats:
+    return -np.sum(genes**2, axis=1) / (2.0 * GENE_DEVIATION**2)
+
+
+def _parts(genes: Floats, likelihood: ContrastLikelihood, variants: int) -> list[Floats]:
+    """Members in parts whose matrices [members, orders, variants, 2 units, 2 units] stay in the cache."""
+    of_member = 8 * likelihood.precision.shape[0] * variants * genes.shape[1] ** 2
+    count = max(1, CACHE_BYTES // of_member)
+    return [genes[start : start + count] for start in range(0, genes.shape[0], count)]
+
+
+def _layers(likelihood: ContrastLikelihood, hidden: HiddenUnits, genes: Floats) -> tuple[Floats, Floats, Floats]:
+    """Log evidence, mean and covariance."""
+    subsets = _subsets(likelihood, hidden.both(genes))
+    log_evidence, weights = _weigh_subsets(subsets.log_likelihood, genes.shape[1] // 2)
+    averaged = _averaged_gain(subsets, weights)
+    mean = _mean(subsets, averaged)
+    gain = _gain(subsets)
+    products = (gain * weights[:, :, :, None]) @ gain.swapaxes(-1, -2)
+    projected = subsets.projected
+    second = products * projected[..., :, None] * projected[..., None, :]
+    diagonal = np.arange(projected.shape[-1])
+    second[..., diagonal, diagonal] += averaged
+    covariance = np.sum(subsets.vectors @ second @ subsets.vectors.swapaxes(-1, -2), axis=2)
+    return log_evidence, mean, covariance - mean[..., :, None] * mean[..., None, :]
+
+
+def _gain(subsets: _Subsets) -> Floats:
+    """Variance of each direction under each slab, [members, orders or 1, subsets, 2 units, slabs]."""
+    slab = SLAB_DEVIATIONS_ARCSEC**2
+    return slab / (1.0 + subsets.values[..., None] * slab)
+
+
+def _averaged_gain(subsets: _Subsets, weights: Floats) -> Floats:
+    """[members, orders, subsets, 2 units]"""
+    return (_gain(subsets) @ weights[..., None])[..., 0]
+
+
+def _mean(subsets: _Subsets, averaged: Floats) -> Floats:
+    return np.sum((subsets.vectors @ (averaged * subsets.projected)[..., None])[..., 0], axis=2)
 
 
 def train(likelihood: ContrastLikelihood, hidden: HiddenUnits, genes: Floats, weights: Floats) -> Floats:
@@ -200,7 +251,7 @@ def train(likelihood: ContrastLikelihood, hidden: HiddenUnits, genes: Floats, we
 
 
 def _loss(likelihood: ContrastLikelihood, hidden: HiddenUnits, genes: Floats, weights: Floats) -> Floats:
-    outputs = np.einsum("pik,pnk->pni", for_both(hidden.contrasts(genes)), weights)
+    outputs = weights @ for_both(hidden.contrasts(genes)).swapaxes(1, 2)
     bent = (likelihood.precision[None] @ outputs[..., None])[..., 0]
     data = np.sum(outputs * (bent / 2.0 - likelihood.information), axis=(1, 2))
     priors = np.sum(genes**2, axis=1) / GENE_DEVIATION**2
@@ -218,20 +269,29 @@ def _step(
     design = for_both(hidden.contrasts(genes))
     amplitude = np.tile(weights.reshape(members, orders, 2, units), 2)
     jacobian = (amplitude[:, :, :, None, :] * by_gene[:, None, None]).reshape(members, orders, -1, 2 * units)
-    outputs = np.einsum("pik,pnk->pni", design, weights)
+    outputs = weights @ design.swapaxes(1, 2)
     slope = likelihood.information - (likelihood.precision[None] @ outputs[..., None])[..., 0]
     bent_jacobian = likelihood.precision[None] @ jacobian
     bent_design = likelihood.precision[None] @ design[:, None]
     own = design.swapaxes(1, 2)[:, None] @ bent_design
     own = own + (damping[:, None, None, None] + WEIGHT_DEVIATION_ARCSEC**-2) * np.eye(size)
     cross = design.swapaxes(1, 2)[:, None] @ bent_jacobian
-    genes_block = np.einsum("pnik,pnil->pkl", jacobian, bent_jacobian)
+    genes_block = _summed_product(jacobian, bent_jacobian)
     genes_block += (damping[:, None, None] + GENE_DEVIATION**-2) * np.eye(2 * units)
-    gene_slope = np.einsum("pnik,pni->pk", jacobian, slope) - genes / GENE_DEVIATION**2
-    weight_slope = np.einsum("pik,pni->pnk", design, slope) - weights / WEIGHT_DEVIATION_ARCSEC**2
+    gene_slope = _summed_product(jacobian, slope[..., None])[..., 0] - genes / GENE_DEVIATION**2
+    weight_slope = slope @ design - weights / WEIGHT_DEVIATION_ARCSEC**2
     right = np.concatenate([cross, weight_slope[..., None]], axis=3)
     solved = np.linalg.solve(np.broadcast_to(own, (members, orders, size, size)), right)
-    reduced = genes_block - np.einsum("pnik,pnil->pkl", cross, solved[..., :-1])
-    reduced_slope = gene_slope - np.einsum("pnik,pni->pk", cross, solved[..., -1])
-    gene_step = np.linalg.solve(reduced, reduced_slope[..., None])[..., 0]
-    return gene_step, solved[..., -1] - np.einsum("pnik,pk->pni", solved[..., :-1], gene_step)
+    reduced = genes_block - _summed_product(cross, solved[..., :-1])
+    reduced_slope = gene_slope - _summed_product(cross, solved[..., -1:])[..., 0]
+    gene_step: Floats = np.linalg.solve(reduced, reduced_slope[..., None])[..., 0].astype(np.float64)
+    weight_step = solved[..., -1] - np.einsum("pnik,pk->pni", solved[..., :-1], gene_step)
+    return gene_step, weight_step
+
+
+def _summed_product(one: NDArray[np.floating], other: NDArray[np.floating]) -> Floats:
+    """Sum over orders of A'B, [members, k, l] from [members, orders, i, k] and [members, orders, i, l]."""
+    members = one.shape[0]
+    flat = one.reshape(members, -1, one.shape[-1])
+    product: Floats = flat.swapaxes(1, 2) @ other.reshape(members, -1, other.shape[-1])
+    return product

@@ -10,7 +10,8 @@ the same temperature nodes are the unknowns of a general linear model with one f
 harmonics are told apart by their priors (`JointLikelihood.marginal`). On complete campaigns both ways agree.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,8 @@ MOST_NODES = 15
 REGULAR_FACE_DEG = 0.1
 """Readings this near their face are moved to it by the slope of the error; further off, its bend would count."""
 FEWEST_NOISE_FREEDOMS = 30
+LOW_ORDERS = 3
+"""Eccentricity, tilt and a little more: what temperature changes in a joint, as far as the noise is concerned."""
 SMALLEST_NOISE_ARCSEC = 1e-3
 """Far below any reading's resolution; keeps weights finite for readings without noise."""
 
@@ -107,6 +110,23 @@ class CoefficientReadings:
     """None: the plan couples the harmonics."""
     joint: JointLikelihood | None
     """None: the plan is complete and regular."""
+
+    def with_steady_prior(self, variance: Floats) -> "CoefficientReadings":
+        """The same, and N(0, variance) on the mean over the nodes of either component of an order, counted once.
+
+        `variance` [orders], inf: none. The methods' flat prior of the constants then is this one; as the mean over
+        the nodes is 1'x / m, it adds 1 1' / (m² variance) to the precision.
+        """
+        nodes = self.nodes_c.size
+        added = np.kron(np.eye(2), np.full((nodes, nodes), nodes**-2.0)) / variance[:, None, None]
+        joint, decoupled = self.joint, self.decoupled
+        if decoupled is not None:
+            decoupled = replace(decoupled, precision=decoupled.precision + added)
+        if joint is not None:
+            precision, each = joint.precision.copy(), np.arange(len(self.orders))
+            precision[each, :, each] += added
+            joint = replace(joint, precision=precision)
+        return replace(self, joint=joint, decoupled=decoupled)
 
 
 def reduce_to_coefficients(readings: TrainingReadings) -> CoefficientReadings:
@@ -193,19 +213,38 @@ def reduce_regular(readings: TrainingReadings, faces: RegularFaces) -> Coefficie
 
 
 def _noise_of_repeats(coefficients: Floats, mean: Floats, node: Integers, nodes_c: Floats) -> tuple[float, int]:
-    """Variance of one run's coefficient: from repeats, else from what a cubic over temperature leaves."""
+    """Variance of one run's coefficient: from repeats, else from what smooth curves over temperature leave."""
     count = coefficients.shape[1]
     freedoms = (node.size - nodes_c.size) * count
     if freedoms >= FEWEST_NOISE_FREEDOMS:
         return float(np.sum((coefficients - mean[node]) ** 2)) / freedoms, freedoms
-    powers = min(4, nodes_c.size)
-    freedoms = (node.size - powers) * count
-    if freedoms < FEWEST_NOISE_FREEDOMS:
-        raise UnsuitableReadingsError([_no_noise_fault(freedoms)])
     t = (nodes_c[node] - nodes_c.mean()) / np.ptp(nodes_c)
-    design = t[:, None] ** np.arange(powers)
-    left = coefficients - design @ np.linalg.lstsq(design, coefficients, rcond=None)[0]
-    return float(np.sum(left**2)) / freedoms, freedoms
+    for bent_columns, low, high in _leaner_shapes(count):
+        squares, freedoms = 0.0, 0
+        for part, powers in ((coefficients[:, :bent_columns], low), (coefficients[:, bent_columns:], high)):
+            design = t[:, None] ** np.arange(min(powers, nodes_c.size))
+            left = part - design @ np.linalg.lstsq(design, part, rcond=None)[0]
+            squares += float(np.sum(left**2))
+            freedoms += (node.size - design.shape[1]) * part.shape[1]
+        if freedoms >= FEWEST_NOISE_FREEDOMS:
+            return squares / freedoms, freedoms
+    raise UnsuitableReadingsError([_no_noise_fault(freedoms)])
+
+
+def _leaner_shapes(columns: int) -> Iterator[tuple[int, int, int]]:
+    """From rich to lean: how many of the columns, the low orders first, have the first number of free values over
+    temperature; the others have the second.
+
+    Temperature bends the low orders of a joint and hardly the high ones. What a shape misses counts as noise:
+    sigma comes out too large then, never too small.
+    """
+    half = 2 * (columns // 4)
+    low = min(2 * LOW_ORDERS, columns)
+    yield columns, 4, 2
+    yield half, 4, 2
+    yield low, 4, 2
+    yield low, 4, 1
+    yield low, 2, 1
 
 
 def reduce_general(readings: TrainingReadings) -> CoefficientReadings:
@@ -238,15 +277,10 @@ def reduce_general(readings: TrainingReadings) -> CoefficientReadings:
 def _residual_noise(
     readings: TrainingReadings, by_angle: Floats, design: Floats, error: Floats, group: Integers
 ) -> tuple[float, int]:
-    """Sigma from what free values at all nodes leave; where that is too little, what a smooth curve leaves."""
+    """Sigma from what free values at all nodes leave; where that is too little, what leaner shapes leave."""
     groups = int(group.max()) + 1
-    candidates = [design]
-    if np.ptp(readings.temperature_c) > SAME_TEMPERATURE_C:
-        few_c = np.linspace(readings.temperature_c.min(), readings.temperature_c.max(), 4)
-        smooth = spline_interpolation(few_c, readings.temperature_c)
-        candidates.append(centred((by_angle[:, :, None] * smooth[:, None, :]).reshape(error.size, -1), group))
     freedoms = 0
-    for matrix in candidates:
+    for matrix in _noise_designs(readings, by_angle, design, group):
         solution, _, rank, _ = np.linalg.lstsq(matrix, error, rcond=1e-8)
         freedoms = error.size - groups - int(rank)
         if freedoms >= FEWEST_NOISE_FREEDOMS:
@@ -255,12 +289,29 @@ def _residual_noise(
     raise UnsuitableReadingsError([_no_noise_fault(freedoms)])
 
 
+def _noise_designs(
+    readings: TrainingReadings, by_angle: Floats, design: Floats, group: Integers
+) -> Iterator[Floats]:
+    """Free values at all nodes, then the leaner shapes."""
+    yield design
+    if np.ptp(readings.temperature_c) <= SAME_TEMPERATURE_C:
+        return
+    ends_c = (float(readings.temperature_c.min()), float(readings.temperature_c.max()))
+    over_c = {1: np.ones((len(readings), 1))}
+    for values in (2, 4):
+        over_c[values] = spline_interpolation(np.linspace(*ends_c, values), readings.temperature_c)
+    for bent_columns, low, high in _leaner_shapes(by_angle.shape[1]):
+        parts = ((by_angle[:, :bent_columns], over_c[low]), (by_angle[:, bent_columns:], over_c[high]))
+        products = [(part[:, :, None] * shape[:, None, :]).reshape(len(readings), -1) for part, shape in parts]
+        yield centred(np.concatenate(products, axis=1), group)
+
+
 def _no_noise_fault(freedoms: int) -> Fault:
     return Fault(
         where="readings",
         expected=f"repeats that show the noise: {FEWEST_NOISE_FREEDOMS} readings or more beyond the model's need",
         found=f"{max(freedoms, 0)}",
-        advice="measure each temperature twice or more",
+        advice="measure more readings: another repeat of each temperature, or another temperature",
     )
 
 

@@ -9,9 +9,13 @@ temperature, so the seam at 360 deg is like any other place. The constant part a
 estimated from all runs, not from those at 20 degC. The noise is known from the repeats; fitness is the evidence
 with the output weights integrated out, so nothing is kept back for validation. And the result is the
 evidence-weighted average of networks with 2, 3 and 4 hidden nodes, started by the fittest and trained.
+
+What the genetic algorithm adds: against as many random hidden layers, trained and averaged alike, the best
+evidence rises by 0.64 nats [0.48, 0.79] and no change of the true error can be seen, log of the ratio -0.0005
+[-0.0081, +0.0072] over 24 joints each of three families (`tests/benchmarks/bench_genetic_start.py`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +28,13 @@ from trueangle_training.methods.coefficient_network import (
     fitness,
     for_both,
     output_layers,
+    output_means,
     train,
 )
-from trueangle_training.methods.linear import LinearFit, fit_linear, plan_notes, plan_settings
+from trueangle_training.methods.linear import LinearFit, plan_notes, plan_settings, staged_linear
 from trueangle_training.methods.posterior import HarmonicPosterior, spread_nodes, widened
 from trueangle_training.methods.separable import TemperatureBasis
+from trueangle_training.methods.stages import Stages, staged
 from trueangle_training.methods.temperature_kernels import ContrastLikelihood
 
 Floats = NDArray[np.float64]
@@ -40,13 +46,18 @@ SELECTION_PRESSURE = 0.2
 """Roulette probabilities are proportional to exp(0.2 fitness): nats are too steep as they are."""
 STARTS = 20
 NEGLIGIBLE_WEIGHT = 1e-3
+"""Of a network, in parts of the best of its size."""
+NEGLIGIBLE_SHARE = 1e-4
+"""Of a number of hidden nodes, in parts of the best."""
 DOUBT = 0.3
 """How far the uncertainty counts on the kernels being right where the networks differ from them; without, one
 network family is too sure of shapes that it cannot take."""
 SURELY_BETTER_NATS = 10.0
 VARIANT_NOTE = (
     "a variant of the paper's FE-GABPNN: the network gives Fourier coefficients over temperature, run offsets and "
-    "noise come from all runs, and evidence takes the place of a validation set"
+    "noise come from all runs, and evidence takes the place of a validation set; its genetic algorithm finds "
+    "slightly fitter networks than as many random starts, but no smaller errors that could be measured: log of "
+    "the error ratio -0.0005, 95 % interval -0.0081 to +0.0072, over 72 simulated joints with 23 equal faces"
 )
 
 
@@ -69,11 +80,17 @@ class FeGabpnn:
     settings: FeGabpnnSettings = DEFAULT_SETTINGS
     name: str = "fe-gabpnn"
     summary: str = "Fourier series + GA-started LM network of the coefficients over temperature"
+    stages: Stages | None = None
+    """None: every training begins at the beginning."""
+
+    def sharing(self, stages: Stages) -> "FeGabpnn":
+        """The same with stages shared with other methods."""
+        return replace(self, stages=stages)
 
     def fit(self, readings: TrainingReadings, *, seed: int = 0, progress: Progress = no_progress) -> Fit:
         """Train; the same readings and seed give the same model."""
-        linear = fit_linear(readings)
-        networks = fit_networks(linear, seed=seed, settings=self.settings, progress=progress)
+        linear = staged_linear(self.stages, readings)
+        networks = staged_networks(self.stages, linear, seed=seed, settings=self.settings, progress=progress)
         settings = {
             **plan_settings(linear),
             "individuals": self.settings.individuals,
@@ -117,6 +134,17 @@ def doubted(linear: LinearFit, networks: NetworkAverage) -> HarmonicPosterior:
     return widened(networks.posterior, linear.posterior, DOUBT)
 
 
+def staged_networks(
+    stages: Stages | None, linear: LinearFit, *, seed: int, settings: FeGabpnnSettings, progress: Progress
+) -> NetworkAverage:
+    """`fit_networks`, or what a method that shares these stages has made of the same readings."""
+
+    def make_networks() -> NetworkAverage:
+        return fit_networks(linear, seed=seed, settings=settings, progress=progress)
+
+    return staged(stages, "networks", linear.readings, (seed, settings), make_networks)
+
+
 def fit_networks(
     linear: LinearFit,
     *,
@@ -125,34 +153,74 @@ def fit_networks(
     progress: Progress = no_progress,
 ) -> NetworkAverage:
     """Evolve, train and average networks on a campaign that `linear` has reduced."""
-    nodes_c = linear.data.nodes_c
-    middle_c = float(nodes_c.mean())
-    hidden = HiddenUnits(contrast=linear.mixture.grid.contrast, t=(nodes_c - middle_c) / SCALE_C)
+    hidden = hidden_units(linear)
     likelihood = linear.mixture.likelihood
     rng = np.random.default_rng(seed)
-    populations: list[tuple[Floats, OutputLayers]] = []
+    populations: list[tuple[Floats, Floats]] = []
     for number, units in enumerate(settings.hidden_nodes):
-        starts = _evolved(likelihood, hidden, units, settings, rng)
-        first = output_layers(likelihood, hidden, starts)
-        scaled = first.mean / np.tile(hidden.rms(starts), 2)[:, None, :]
-        trained = train(likelihood, hidden, starts, scaled)
-        genes = np.concatenate([starts, trained])
-        populations.append((genes, output_layers(likelihood, hidden, genes)))
+        starts = evolved_starts(likelihood, hidden, units, settings, rng)
+        populations.append(trained_population(likelihood, hidden, starts))
         progress(number + 1, len(settings.hidden_nodes))
-    best = np.array([layers.fitness.max() for _, layers in populations])
+    return average_networks(linear, hidden, populations)
+
+
+def hidden_units(linear: LinearFit) -> HiddenUnits:
+    """Over the campaign's temperatures, from their middle."""
+    nodes_c = linear.data.nodes_c
+    t = (nodes_c - float(nodes_c.mean())) / SCALE_C
+    return HiddenUnits(contrast=linear.mixture.grid.contrast, t=t)
+
+
+def trained_population(
+    likelihood: ContrastLikelihood, hidden: HiddenUnits, starts: Floats
+) -> tuple[Floats, Floats]:
+    """The starts and what training makes of them, [2 starts, 2 units], and their fitness."""
+    scaled = output_means(likelihood, hidden, starts) / np.tile(hidden.rms(starts), 2)[:, None, :]
+    genes = np.concatenate([starts, train(likelihood, hidden, starts, scaled)])
+    return genes, fitness(likelihood, hidden, genes)
+
+
+def average_networks(
+    linear: LinearFit, hidden: HiddenUnits, populations: list[tuple[Floats, Floats]]
+) -> NetworkAverage:
+    """All networks of all sizes with weight exp(fitness) within a size and exp(best fitness) among sizes."""
+    best = np.array([worth.max() for _, worth in populations])
     shares = np.exp(best - best.max())
+    shares[shares < NEGLIGIBLE_SHARE] = 0.0
     shares /= shares.sum()
-    return _averaged(linear, hidden, populations, shares, best)
+    members: list[_Members] = []
+    for (genes, worth), share in zip(populations, shares, strict=True):
+        weight = np.exp(worth - worth.max())
+        counted = (weight >= NEGLIGIBLE_WEIGHT) & (share > 0.0)
+        if counted.any():
+            layers = output_layers(linear.mixture.likelihood, hidden, genes[counted])
+            weight = weight[counted] * (share / weight[counted].sum())
+            members.append(_Members(genes=genes[counted], layers=layers, weight=weight))
+    return _averaged(linear, hidden, members, shares, best)
 
 
-def _evolved(
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Members:
+    """The networks of one size that count."""
+
+    genes: Floats
+    """[members, 2 units]"""
+    layers: OutputLayers
+    weight: Floats
+    """[members], of all sizes together 1 in sum."""
+
+
+def evolved_starts(
     likelihood: ContrastLikelihood,
     hidden: HiddenUnits,
     units: int,
     settings: FeGabpnnSettings,
     rng: np.random.Generator,
 ) -> Floats:
-    """The fittest distinct hidden layers of all generations, [STARTS, 2 units]."""
+    """The fittest distinct hidden layers of all generations, [STARTS, 2 units].
+
+    They cost individuals · (generations + 1) evaluations of the fitness.
+    """
     seen: list[Floats] = []
     worths: list[Floats] = []
 
@@ -166,19 +234,22 @@ def _evolved(
 
     options = GeneticOptions(individuals=settings.individuals, generations=settings.generations)
     evolve(evaluate, genes=2 * units, options=options, rng=rng)
-    individuals, first = np.unique(np.concatenate(seen), axis=0, return_index=True)
-    fittest = np.argsort(-np.concatenate(worths)[first], kind="stable")[:STARTS]
-    return individuals[fittest] * GENE_RANGE
+    return fittest_starts(np.concatenate(seen) * GENE_RANGE, np.concatenate(worths))
+
+
+def fittest_starts(genes: Floats, worth: Floats) -> Floats:
+    """The distinct hidden layers worth most, [STARTS or fewer, 2 units]."""
+    distinct, first = np.unique(genes, axis=0, return_index=True)
+    return distinct[np.argsort(-worth[first], kind="stable")[:STARTS]]
 
 
 def _averaged(
     linear: LinearFit,
     hidden: HiddenUnits,
-    populations: list[tuple[Floats, OutputLayers]],
+    sizes: list[_Members],
     shares: Floats,
     best: Floats,
 ) -> NetworkAverage:
-    """All networks of all sizes with weight exp(fitness) within a size and the size's share."""
     likelihood, orders = linear.mixture.likelihood, len(linear.data.orders)
     nodes_c = spread_nodes(linear.data.nodes_c)
     t = (nodes_c - float(linear.data.nodes_c.mean())) / SCALE_C
@@ -189,14 +260,12 @@ def _averaged(
     constant = np.zeros((orders, 2))
     mean = np.zeros((orders, 2 * t.size))
     second = np.zeros((orders, 2 * t.size, 2 * t.size))
-    for (genes, layers), share in zip(populations, shares, strict=True):
-        weight = np.exp(layers.fitness - layers.fitness.max())
-        weight[weight < NEGLIGIBLE_WEIGHT] = 0.0
-        weight *= share / weight.sum()
+    for size in sizes:
+        genes, layers, weight = size.genes, size.layers, size.weight
         design = hidden.both(genes)
         rms = hidden.rms(genes)
         middles = hidden.activation(genes, hidden.t).mean(axis=1)
-        for member in np.flatnonzero(weight):
+        for member in range(weight.size):
             unit_weights = layers.mean[member].reshape(orders, 2, -1) / rms[member]
             own = weight[member]
             contrasts = layers.mean[member] @ design[member].T

@@ -3,10 +3,11 @@
 Each Fourier coefficient is a constant plus a Gaussian process in temperature, the kernel's amplitudes and length
 averaged over a grid by their evidence (`temperature_kernels`). Complete regular campaigns are transformed and
 every harmonic stands alone; in all others the same priors tell the harmonics of a general linear model apart, each
-with the others integrated out (`coefficients`).
+with the others integrated out (`coefficients`). The constants have a flat prior below order 12; from there on the
+campaign itself says how large they may be (`high_orders`), for every method that rests on this fit.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +19,10 @@ from trueangle_training.methods.coefficients import (
     JointLikelihood,
     reduce_to_coefficients,
 )
+from trueangle_training.methods.high_orders import steady_power, steady_prior_variance
 from trueangle_training.methods.posterior import HarmonicPosterior, spread_nodes, spread_of, with_links
 from trueangle_training.methods.separable import SeparableModel, TemperatureBasis
+from trueangle_training.methods.stages import Stages, staged
 from trueangle_training.methods.temperature_kernels import (
     LENGTHS_C,
     SCALE_C,
@@ -33,7 +36,9 @@ from trueangle_training.methods.unseen_orders import UnseenOrders, unseen_orders
 Floats = NDArray[np.float64]
 
 COUPLING_ROUNDS = 4
-"""Rounds of marginal likelihood and kernel weights where harmonics are coupled; the weights settle in two."""
+"""At most so many rounds of marginal likelihood and kernel weights where harmonics are coupled."""
+SETTLED_WEIGHT = 0.01
+"""Rounds end when no harmonic's weights move by more in sum: the error then moves by thousandths of an arcsec."""
 LEAST_DEVIATION_ARCSEC = 0.01
 """Of every contrast where harmonics are coupled: keeps the prior's root invertible, far below any noise."""
 NEGLIGIBLE_WEIGHT = 1e-4
@@ -72,15 +77,26 @@ class Linear:
 
     name: str = "linear"
     summary: str = "harmonics with smooth temperature terms, weighted by evidence"
+    stages: Stages | None = None
+    """None: every training begins at the beginning."""
+
+    def sharing(self, stages: Stages) -> "Linear":
+        """The same with stages shared with other methods."""
+        return replace(self, stages=stages)
 
     def fit(self, readings: TrainingReadings, *, seed: int = 0, progress: Progress = no_progress) -> Fit:
         """Deterministic: the seed changes nothing."""
         progress(0, 1)
-        linear = fit_linear(readings)
+        linear = staged_linear(self.stages, readings)
         progress(1, 1)
         return Fit(
             model=linear.model_of(linear.posterior), notes=plan_notes(linear), settings=plan_settings(linear)
         )
+
+
+def staged_linear(stages: Stages | None, readings: TrainingReadings) -> LinearFit:
+    """`fit_linear`, or what a method that shares these stages has made of the same readings."""
+    return staged(stages, "linear", readings, None, lambda: fit_linear(readings))
 
 
 def make(base_temperature_c: float) -> Linear:
@@ -113,22 +129,17 @@ def fit_linear(readings: TrainingReadings, data: CoefficientReadings | None = No
     data = reduce_to_coefficients(readings) if data is None else data
     grid = KernelGrid.over(data.nodes_c)
     nodes_c = spread_nodes(data.nodes_c)
-    if data.joint is None:
-        assert data.decoupled is not None  # noqa: S101 - one of the two is there
-        likelihood, links = data.decoupled, None
-        mixture = weigh_kernels(likelihood, grid)
-    else:
-        likelihood, mixture = _fit_coupled(data.joint, grid)
-        links = _links(data.joint, mixture, nodes_c)
-    constant, basis, weights = _mean_model(mixture)
+    likelihood, mixture = _weighed(data, grid, None)
+    steady_arcsec, steady_variance = _steady(likelihood, mixture)
+    prior_variance = steady_prior_variance(data.orders, steady_arcsec, steady_variance)
+    if np.isfinite(prior_variance).any():
+        data = data.with_steady_prior(prior_variance)
+        likelihood, mixture = _weighed(data, grid, mixture)
+    links = None if data.joint is None else _links(data.joint, mixture, nodes_c)
+    _, basis, weights = _mean_model(mixture)
     covariance = _harmonic_covariances(mixture, nodes_c)
-    steady_variance = np.broadcast_to(mixture.likelihood.constant_covariance, (len(data.orders), 2, 2))
-    unseen = unseen_orders(
-        readings,
-        orders=data.orders,
-        coefficients_arcsec=constant.ravel(),
-        variance=np.einsum("ncc->nc", steady_variance).ravel(),
-    )
+    power = steady_power(steady_arcsec, steady_variance, prior_variance)
+    unseen = unseen_orders(readings, orders=data.orders, power_arcsec2=power)
     return LinearFit(
         readings=readings,
         data=data,
@@ -140,17 +151,48 @@ def fit_linear(readings: TrainingReadings, data: CoefficientReadings | None = No
     )
 
 
-def _fit_coupled(joint: JointLikelihood, grid: KernelGrid) -> tuple[CoefficientLikelihood, KernelMixture]:
+def _weighed(
+    data: CoefficientReadings, grid: KernelGrid, first: KernelMixture | None
+) -> tuple[CoefficientLikelihood, KernelMixture]:
+    """Each harmonic's likelihood and kernels; `first` is where coupled harmonics begin, None: anywhere."""
+    if data.joint is not None:
+        return _fit_coupled(data.joint, grid, first)
+    assert data.decoupled is not None  # noqa: S101 - one of the two is there
+    return data.decoupled, weigh_kernels(data.decoupled, grid)
+
+
+def _steady(likelihood: CoefficientLikelihood, mixture: KernelMixture) -> tuple[Floats, Floats]:
+    """Each order's constants [orders, 2] at the nodes' mean and their mean variance [orders].
+
+    Under one Gaussian whose prior covariance is the mixture's; as in `JointLikelihood.posterior`, order by order.
+    """
+    factor = _coupled_factor(mixture.prior_covariance(), mixture.grid)
+    prior = np.ones(factor.shape[1])
+    prior[:2] = 0.0
+    across = factor.swapaxes(1, 2)
+    covariance: Floats = np.linalg.inv(across @ likelihood.precision @ factor + np.diag(prior)).astype(np.float64)
+    mean = covariance @ (across @ likelihood.information[:, :, None])
+    return mean[:, :2, 0], np.einsum("ncc->n", covariance[:, :2, :2]) / 2.0
+
+
+def _fit_coupled(
+    joint: JointLikelihood, grid: KernelGrid, first: KernelMixture | None
+) -> tuple[CoefficientLikelihood, KernelMixture]:
     """Alternate between each harmonic's marginal likelihood and the kernels' weights."""
-    broad = np.where(grid.choice[:, 1] == 0, 0.0, 1.0)
-    covariance = np.repeat(
-        np.tensordot(broad / broad.sum(), grid.contrasted(), axes=1)[None], len(joint.information), 0
-    )
+    if first is None:
+        broad = np.where(grid.choice[:, 1] == 0, 0.0, 1.0)
+        broad_covariance = np.tensordot(broad / broad.sum(), grid.contrasted, axes=1)
+        covariance = np.repeat(broad_covariance[None], len(joint.information), 0)
+    else:
+        covariance = first.prior_covariance()
     likelihood = joint.marginal(_coupled_factor(covariance, grid))
     mixture = weigh_kernels(likelihood, grid)
     for _ in range(COUPLING_ROUNDS - 1):
+        before = mixture.weight
         likelihood = joint.marginal(_coupled_factor(mixture.prior_covariance(), grid))
         mixture = weigh_kernels(likelihood, grid)
+        if np.abs(mixture.weight - before).sum(axis=1).max() < SETTLED_WEIGHT:
+            break
     return likelihood, mixture
 
 
@@ -207,29 +249,34 @@ def _each(matrices: Floats, orders: int) -> Floats:
 
 
 def _harmonic_covariances(mixture: KernelMixture, nodes_c: Floats) -> Floats:
-    """Posterior covariance of each harmonic's values at `nodes_c`, [orders, 2 nodes, 2 nodes], cos before sin."""
-    orders, kernels = mixture.weight.shape
-    likelihood = mixture.likelihood
+    """Posterior covariance of each harmonic's values at `nodes_c`, [orders, 2 nodes, 2 nodes], cos before sin.
+
+    Under one kernel they are K - F S F', F = (covariance with the contrasts, ones), S the readings' share of it.
+    """
+    orders = mixture.weight.shape[0]
+    likelihood, twice = mixture.likelihood, np.eye(2)
     precision = _each(likelihood.precision, orders)
     slope, constant = _each(likelihood.constant_slope, orders), _each(likelihood.constant_covariance, orders)
-    posterior = _each(mixture.covariance, orders)
-    ones = np.kron(np.eye(2), np.ones((nodes_c.size, 1)))
+    ones = np.kron(twice, np.ones((nodes_c.size, 1)))
     total = np.zeros((orders, 2 * nodes_c.size, 2 * nodes_c.size))
     mean = np.zeros((orders, 2 * nodes_c.size))
-    kept = mixture.weight.max(axis=0) > NEGLIGIBLE_WEIGHT
-    weights = mixture.weight / mixture.weight[:, kept].sum(axis=1, keepdims=True)
-    for kernel in np.flatnonzero(kept):
-        across, own = mixture.grid.from_node_mean(nodes_c, np.eye(kernels)[kernel])
-        both, prior = np.kron(np.eye(2), across), np.kron(np.eye(2), own)
-        known = precision @ posterior[:, kernel]
-        taken = precision - known @ precision
-        moves = both @ (np.eye(known.shape[1]) - known) @ slope.swapaxes(1, 2) @ ones.T
-        of_constant = constant + slope @ posterior[:, kernel] @ slope.swapaxes(1, 2)
-        covariance = prior - both @ taken @ both.T - moves - moves.swapaxes(1, 2) + ones @ of_constant @ ones.T
+    kept = np.flatnonzero(mixture.weight.max(axis=0) > NEGLIGIBLE_WEIGHT)
+    weights = mixture.weight[:, kept] / mixture.weight[:, kept].sum(axis=1, keepdims=True)
+    posteriors = _each(mixture.covariances(kept), orders)
+    across, own = mixture.grid.from_node_mean(nodes_c, np.eye(mixture.weight.shape[1])[kept])
+    for number, kernel in enumerate(kept):
+        posterior = posteriors[:, number]
+        known = precision @ posterior
+        moves = slope - slope @ known.swapaxes(1, 2)
+        of_constant = constant + slope @ posterior @ slope.swapaxes(1, 2)
+        upper = np.concatenate([precision - known @ precision, moves.swapaxes(1, 2)], axis=2)
+        share = np.concatenate([upper, np.concatenate([moves, -of_constant], axis=2)], axis=1)
+        reach = np.concatenate([np.kron(twice, across[number]), ones], axis=1)
+        covariance = np.kron(twice, own[number]) - reach @ share @ reach.T
         dual = likelihood.information - np.einsum("nij,nj->ni", precision, mixture.mean[:, kernel])
-        at = dual @ both.T - np.einsum("nci,ni->nc", slope, mixture.mean[:, kernel]) @ ones.T
-        at += likelihood.constant @ ones.T
-        weight = weights[:, kernel]
+        level = likelihood.constant - np.einsum("nci,ni->nc", slope, mixture.mean[:, kernel])
+        at = np.concatenate([dual, level], axis=1) @ reach.T
+        weight = weights[:, number]
         total += weight[:, None, None] * (covariance + at[:, :, None] * at[:, None, :])
         mean += weight[:, None] * at
     return total - mean[:, :, None] * mean[:, None, :]
@@ -244,11 +291,11 @@ def _links(joint: JointLikelihood, mixture: KernelMixture, nodes_c: Floats) -> F
     ones = np.ones((nodes_c.size, 1))
     maps = np.zeros((orders, 2 * nodes_c.size, size))
     left = np.zeros((orders, 2 * nodes_c.size, 2 * nodes_c.size))
+    across, own = mixture.grid.from_node_mean(nodes_c, mixture.weight)
     for order in range(orders):
-        across, own = mixture.grid.from_node_mean(nodes_c, mixture.weight[order])
-        on_root = across @ np.linalg.inv(_floored_root(prior[order])).T
+        on_root = across[order] @ np.linalg.inv(_floored_root(prior[order])).T
         maps[order] = np.concatenate([np.kron(np.eye(2), ones), np.kron(np.eye(2), on_root)], axis=1)
-        left[order] = np.kron(np.eye(2), own - on_root @ on_root.T)
+        left[order] = np.kron(np.eye(2), own[order] - on_root @ on_root.T)
     covariance = np.einsum("aik,akml,mjl->aimj", maps, posterior, maps, optimize=True)
     covariance[np.arange(orders), :, np.arange(orders), :] += left
     return covariance

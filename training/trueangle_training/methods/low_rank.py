@@ -186,22 +186,31 @@ def _draw_loading(
     """u of one mode, [chains, orders, 2]: included by its odds with u integrated out, then drawn."""
     chains, half = shape.shape
     orders = left.shape[1]
-    design = np.zeros((chains, 2 * half, 2))
-    design[:, :half, 0] = design[:, half:, 1] = shape
-    inner = design.swapaxes(1, 2)[:, None] @ precision[None] @ design[:, None]
-    slab = deviation[:, None, None, None] ** -2 * np.eye(2)
-    with_prior = np.broadcast_to(inner + slab, (chains, orders, 2, 2))
-    weight = np.einsum("cik,cni->cnk", design, left)
-    covariance = np.linalg.inv(with_prior)
-    mean = (covariance @ weight[..., None])[..., 0]
-    determinant = np.linalg.det(with_prior) * deviation[:, None] ** 4
+    squares = (shape[:, :, None] * shape[:, None, :]).reshape(chains, -1)
+    inner = (squares @ _by_component(precision, half).T).reshape(chains, -1, 4)
+    slab = deviation[:, None] ** -2
+    first, across, second = inner[..., 0] + slab, inner[..., 1], inner[..., 3] + slab
+    determinant = first * second - across**2
+    weight = (left.reshape(chains, orders, 2, half) @ shape[:, None, :, None])[..., 0]
+    cosine, sine = weight[..., 0], weight[..., 1]
+    mean = np.stack([second * cosine - across * sine, first * sine - across * cosine], axis=2)
+    mean /= determinant[..., None]
     log_odds = np.log(used_share / (1.0 - used_share))[:, None]
-    log_odds = log_odds + (np.sum(weight * mean, axis=2) - np.log(determinant)) / 2.0
+    worth = np.sum(weight * mean, axis=2) - np.log(determinant * deviation[:, None] ** 4)
+    log_odds = log_odds + worth / 2.0
     included = rng.uniform(size=(chains, orders)) < 1.0 / (1.0 + np.exp(-np.clip(log_odds, -500.0, 500.0)))
     if known is not None:
         included = np.broadcast_to(known, included.shape)
-    drawn = mean + (np.linalg.cholesky(covariance) @ rng.standard_normal((chains, orders, 2, 1)))[..., 0]
-    return np.where(included[..., None], drawn, 0.0)
+    # The Cholesky factor of a two by two covariance, the inverse of (first, across; across, second).
+    one, other = np.moveaxis(rng.standard_normal((chains, orders, 2)), 2, 0)
+    root = np.sqrt(second / determinant)
+    noise = np.stack([root * one, -across / (determinant * root) * one + other / np.sqrt(second)], axis=2)
+    return np.where(included[..., None], mean + noise, 0.0)
+
+
+def _by_component(precision: Floats, half: int) -> Floats:
+    """Blocks (cos cos), (cos sin), (sin cos), (sin sin) of every order as rows, [orders or 1 times 4, half²]."""
+    return precision.reshape(-1, 2, half, 2, half).swapaxes(2, 3).reshape(-1, half * half)
 
 
 def _draw_deviation(loading: Floats, used: Integers, rng: np.random.Generator) -> Floats:
@@ -217,14 +226,13 @@ def _draw_shape(
     """g of one mode, [chains, m - 1]."""
     orders, size = left.shape[1:]
     half = size // 2
-    blocks = precision.reshape(-1, 2, half, 2, half)
-    if blocks.shape[0] == 1:
-        products = np.einsum("cnx,cny->cxy", loading, loading)
-        of_readings = np.einsum("cxy,xiyj->cij", products, blocks[0])
-    else:
-        of_readings = np.einsum("cnx,cny,nxiyj->cij", loading, loading, blocks, optimize=True)
-    total = inverse + of_readings
-    information = np.einsum("cnx,cnxi->ci", loading, left.reshape(-1, orders, 2, half))
+    products = loading[..., :, None] * loading[..., None, :]
+    if precision.shape[0] == 1:
+        products = products.sum(axis=1)
+    chains = loading.shape[0]
+    of_readings = products.reshape(chains, -1) @ _by_component(precision, half)
+    total = inverse + of_readings.reshape(chains, half, half)
+    information = (loading.reshape(chains, 1, -1) @ left.reshape(chains, orders * 2, half))[:, 0]
     factor = np.linalg.cholesky(total)
     noise = rng.standard_normal((*information.shape, 1))
     mean = np.linalg.solve(total, information[..., None])
@@ -232,7 +240,9 @@ def _draw_shape(
 
 
 def _draw_kernel(shape: Floats, kernels: _Kernels, rng: np.random.Generator) -> Integers:
-    square = np.einsum("ci,kij,cj->ck", shape, kernels.inverse, shape, optimize=True)
+    chains, half = shape.shape
+    products = (shape[:, :, None] * shape[:, None, :]).reshape(chains, -1)
+    square = products @ kernels.inverse.reshape(-1, half * half).T
     return _draw_index(-(square + kernels.log_determinant) / 2.0, rng)
 
 

@@ -55,10 +55,10 @@ METHODS: Mapping[str, MethodEntry] = {
     ),
     "fe-gabpnn-paper": MethodEntry(
         module="fe_gabpnn_paper",
-        summary="the paper's method to the letter",
+        summary="the paper's method, eqs. (1)-(10) to the letter but for the misprint in (10)",
         needs_base_temperature=True,
         paper_network=True,
-        seconds=5.0,
+        seconds=0.5,
     ),
     "fe-bpnn": MethodEntry(
         module="fe_bpnn",

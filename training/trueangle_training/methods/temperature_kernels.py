@@ -29,6 +29,8 @@ PRESENT_PSEUDO_COUNT = 1.0 / 8.0
 """Of each amplitude above 0: a harmonic without temperature terms is the rule."""
 LENGTH_PSEUDO_COUNT = 1.0 / 3.0
 EVIDENCE_STEPS = 30
+NEGLIGIBLE_WEIGHT = 1e-6
+"""Kernels that have less for every harmonic get none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -46,6 +48,10 @@ class KernelGrid:
     """[kernels]: which of LENGTHS_C."""
     choice: Integers
     """[kernels, 3]: indices of s₁, s₂ and l, for the shares."""
+    contrasted: Floats
+    """[kernels, m - 1, m - 1]: every kernel at the nodes, in contrasts."""
+    root: Floats
+    """[kernels, m - 1, m - 1]: L with L L' = contrasted."""
 
     @staticmethod
     def over(nodes_c: Floats) -> "KernelGrid":
@@ -53,48 +59,48 @@ class KernelGrid:
         count = nodes_c.size
         contrast = np.linalg.qr(np.column_stack([np.ones(count), np.eye(count)[:, : count - 1]]))[0][:, 1:]
         t = (nodes_c - nodes_c.mean()) / SCALE_C
-        linear_trace = np.trace(contrast.T @ np.outer(t, t) @ contrast)
-        scales = [
-            linear_trace / np.trace(contrast.T @ _bell(nodes_c, nodes_c, length_c) @ contrast)
-            for length_c in LENGTHS_C
-        ]
+        straight = contrast.T @ np.outer(t, t) @ contrast
+        bells = np.stack([contrast.T @ _bell(nodes_c, nodes_c, length_c) @ contrast for length_c in LENGTHS_C])
+        scales = np.trace(straight) / np.trace(bells, axis1=1, axis2=2)
         amplitudes, lengths = range(len(AMPLITUDES_ARCSEC)), range(len(LENGTHS_C))
         choice = [(i, j, k) for i, j, k in product(amplitudes, amplitudes, lengths) if j > 0 or k == 0]
         amplitude = np.array(AMPLITUDES_ARCSEC)
         chosen = np.array(choice)
+        linear = amplitude[chosen[:, 0]] ** 2
+        bell = amplitude[chosen[:, 1]] ** 2 * scales[chosen[:, 2]]
+        contrasted = linear[:, None, None] * straight + bell[:, None, None] * bells[chosen[:, 2]]
         return KernelGrid(
             nodes_c=nodes_c,
             contrast=contrast,
-            linear=amplitude[chosen[:, 0]] ** 2,
-            bell=amplitude[chosen[:, 1]] ** 2 * np.array(scales)[chosen[:, 2]],
+            linear=linear,
+            bell=bell,
             length=chosen[:, 2],
             choice=chosen,
+            contrasted=contrasted,
+            root=covariance_root(contrasted),
         )
 
-    def kernel(self, one_c: Floats, other_c: Floats, weights: Floats) -> Floats:
-        """Sum of the kernels times `weights` [kernels], not contrasted, shape [one, other]."""
-        middle_c = self.nodes_c.mean()
-        total = float(weights @ self.linear) * np.outer(one_c - middle_c, other_c - middle_c) / SCALE_C**2
-        for index, length_c in enumerate(LENGTHS_C):
-            share = float(weights @ np.where(self.length == index, self.bell, 0.0))
-            total += share * _bell(one_c, other_c, length_c)
-        return total
-
     def from_node_mean(self, one_c: Floats, weights: Floats) -> tuple[Floats, Floats]:
-        """Covariances of f(T) - mean f(nodes): with the contrasts [one, m - 1], and with itself [one, one]."""
-        at_nodes = self.kernel(self.nodes_c, self.nodes_c, weights)
-        across = self.kernel(one_c, self.nodes_c, weights)
-        own = self.kernel(one_c, one_c, weights)
-        mean = across.mean(axis=1)
-        centred = own - mean[:, None] - mean[None, :] + at_nodes.mean()
-        return (across - at_nodes.mean(axis=0)) @ self.contrast, centred
+        """Covariances of f(T) - mean f(nodes) under sums of kernels, `weights` [sums, kernels].
 
-    def contrasted(self) -> Floats:
-        """Every kernel at the nodes in contrasts, [kernels, m - 1, m - 1]."""
-        t = (self.nodes_c - self.nodes_c.mean()) / SCALE_C
-        parts = [np.outer(t, t), *(_bell(self.nodes_c, self.nodes_c, length_c) for length_c in LENGTHS_C)]
-        linear, *bells = (self.contrast.T @ part @ self.contrast for part in parts)
-        return self.linear[:, None, None] * linear + self.bell[:, None, None] * np.stack(bells)[self.length]
+        With the contrasts [sums, one, m - 1], and with itself [sums, one, one].
+        """
+        part_of: Floats = np.column_stack(
+            [self.linear, *(np.where(self.length == index, self.bell, 0.0) for index in range(len(LENGTHS_C)))]
+        )
+        at_nodes = self._parts(self.nodes_c, self.nodes_c)
+        across, own = self._parts(one_c, self.nodes_c), self._parts(one_c, one_c)
+        mean = across.mean(axis=2)
+        own = own - mean[:, :, None] - mean[:, None, :] + at_nodes.mean(axis=(1, 2))[:, None, None]
+        reach = (across - at_nodes.mean(axis=1)[:, None, :]) @ self.contrast
+        shares = weights @ part_of
+        return np.einsum("sp,pij->sij", shares, reach), np.einsum("sp,pij->sij", shares, own)
+
+    def _parts(self, one_c: Floats, other_c: Floats) -> Floats:
+        """The straight line and the bell of each length, [1 + lengths, one, other]."""
+        middle_c = self.nodes_c.mean()
+        straight = np.outer(one_c - middle_c, other_c - middle_c) / SCALE_C**2
+        return np.stack([straight, *(_bell(one_c, other_c, length_c) for length_c in LENGTHS_C)])
 
 
 def _bell(one_c: Floats, other_c: Floats, length_c: float) -> Floats:
@@ -145,38 +151,69 @@ class KernelMixture:
     weight: Floats
     """[orders, kernels], rows sum to 1."""
     mean: Floats
-    """[orders, kernels, 2 (m - 1)]."""
-    covariance: Floats
-    """[orders or 1, kernels, 2 (m - 1), 2 (m - 1)]."""
+    """[orders, kernels, 2 (m - 1)]; 0 for kernels that no harmonic gives weight."""
     log_evidence: float
     """Of the whole campaign with the shares as found, up to a constant of the campaign."""
 
     def prior_covariance(self) -> Floats:
         """The mixture's prior covariance of one component's contrasts, [orders, m - 1, m - 1]."""
-        return np.tensordot(self.weight, self.grid.contrasted(), axes=1)
+        return np.tensordot(self.weight, self.grid.contrasted, axes=1)
+
+    def covariances(self, kernels: Integers) -> Floats:
+        """The contrasts' posterior covariance under some kernels, [orders or 1, kernels, 2 (m - 1), 2 (m - 1)]."""
+        roots = _for_both(self.grid.root[kernels])
+        return roots @ np.linalg.inv(_inner(self.likelihood, roots)) @ roots.swapaxes(1, 2)
 
 
 def weigh_kernels(likelihood: CoefficientLikelihood, grid: KernelGrid) -> KernelMixture:
     """Exact posteriors under all kernels, weighed by evidence and by shares common to the harmonics."""
     contrasts = ContrastLikelihood.of(likelihood, grid.contrast)
-    size = contrasts.information.shape[1]
-    roots = np.zeros((grid.linear.size, size, size))
-    roots[:, : size // 2, : size // 2] = roots[:, size // 2 :, size // 2 :] = covariance_root(grid.contrasted())
-    transposed = roots.swapaxes(1, 2)
-    inner = np.eye(size) + transposed @ contrasts.precision[:, None] @ roots
-    inverse = np.linalg.inv(inner)
+    roots = _for_both(grid.root)
+    inner = _inner(contrasts, roots)
     projected = np.einsum("gik,ni->ngk", roots, contrasts.information)
-    solved = (inverse @ projected[..., None])[..., 0]
-    log_likelihood = (np.sum(projected * solved, axis=-1) - np.linalg.slogdet(inner)[1]) / 2.0
-    weight, log_evidence = _shares(log_likelihood, grid.choice)
-    return KernelMixture(
-        grid=grid,
-        likelihood=contrasts,
-        weight=weight,
-        mean=np.einsum("gik,ngk->ngi", roots, solved),
-        covariance=roots @ inverse @ transposed,
-        log_evidence=log_evidence,
-    )
+    weight, log_evidence = _shares(_log_likelihood(inner, projected), grid.choice)
+    counted = weight.max(axis=0) > NEGLIGIBLE_WEIGHT
+    weight = np.where(counted, weight, 0.0)
+    weight /= weight.sum(axis=1, keepdims=True)
+    counts = np.flatnonzero(counted)
+    solved = np.linalg.solve(inner[:, counts], projected[:, counts, :, None])[..., 0]
+    mean = np.zeros_like(projected)
+    mean[:, counts] = np.einsum("gik,ngk->ngi", roots[counts], solved)
+    return KernelMixture(grid=grid, likelihood=contrasts, weight=weight, mean=mean, log_evidence=log_evidence)
+
+
+def _inner(likelihood: ContrastLikelihood, roots: Floats) -> Floats:
+    """1 + R'PR of each kernel, [orders or 1, kernels, 2 (m - 1), 2 (m - 1)]."""
+    return np.eye(roots.shape[1]) + roots.swapaxes(1, 2) @ likelihood.precision[:, None] @ roots
+
+
+def _log_likelihood(inner: Floats, projected: Floats) -> Floats:
+    """w'M⁻¹w / 2 - log|M| / 2 of M [orders or 1, kernels, k, k] and w [orders, kernels, k]: [orders, kernels].
+
+    One Cholesky decomposition of M bordered by the vectors w gives both: the border of the factor is L⁻¹w.
+    """
+    blocks, kernels, size, _ = inner.shape
+    vectors = projected.reshape(blocks, -1, kernels, size).swapaxes(1, 2)
+    count = vectors.shape[2]
+    bordered = np.zeros((blocks, kernels, size + count, size + count))
+    bordered[:, :, :size, :size] = inner
+    bordered[:, :, size:, :size] = vectors
+    # M is 1 or more, so the corner stays positive; what it is does not reach the border.
+    corner = np.sum(vectors**2, axis=(2, 3)) + 1.0
+    bordered[:, :, range(size, size + count), range(size, size + count)] = corner[..., None]
+    factor = np.linalg.cholesky(bordered)
+    diagonal = np.diagonal(factor[:, :, :size, :size], axis1=2, axis2=3)
+    gain = np.sum(factor[:, :, size:, :size] ** 2, axis=3) / 2.0
+    value = gain - np.sum(np.log(diagonal), axis=2)[..., None]
+    return value.swapaxes(1, 2).reshape(-1, kernels)
+
+
+def _for_both(one: Floats) -> Floats:
+    """[kernels, i, j] as a block for cos and the same for sin, [kernels, 2 i, 2 j]."""
+    kernels, rows, columns = one.shape
+    result = np.zeros((kernels, 2 * rows, 2 * columns))
+    result[:, :rows, :columns] = result[:, rows:, columns:] = one
+    return result
 
 
 def covariance_root(covariance: Floats) -> Floats:

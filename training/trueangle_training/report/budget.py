@@ -64,12 +64,29 @@ class Budget:
 
     @property
     def expanded_arcsec(self) -> float:
-        """U (k = 2) of the corrected angle."""
+        """U (k = 2) of the corrected angle, RMS over the valid ranges."""
         return COVERAGE_FACTOR * self.combined_arcsec
 
     @property
+    def largest_expanded_arcsec(self) -> float | None:
+        """U (k = 2) that holds at every valid angle and temperature; None: the file serves none."""
+        return (
+            None
+            if self.largest_arcsec is None
+            else COVERAGE_FACTOR * max(self.largest_arcsec, self.combined_arcsec)
+        )
+
+    @property
+    def largest_expanded_reading_arcsec(self) -> float | None:
+        """The same of one corrected reading, whose scatter is the same everywhere."""
+        if self.largest_expanded_arcsec is None:
+            return None
+        scatter_square = self.combined_reading_arcsec**2 - self.combined_arcsec**2
+        return float(np.hypot(self.largest_expanded_arcsec, COVERAGE_FACTOR * max(scatter_square, 0.0) ** 0.5))
+
+    @property
     def expanded_reading_arcsec(self) -> float:
-        """U (k = 2) of one corrected reading."""
+        """U (k = 2) of one corrected reading, RMS over the valid ranges."""
         return COVERAGE_FACTOR * self.combined_reading_arcsec
 
 

@@ -6,10 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from trueangle.contract.units import DEG_PER_TURN, wrap_deg
+from trueangle_training.evaluation.datum_drift import shows_datum_drift
+from trueangle_training.evaluation.held_out import HeldOutKind
+from trueangle_training.evaluation.reading_noise import held_out_caution
 from trueangle_training.methods import distinct_angle_count
 from trueangle_training.report.budget import Budget
 from trueangle_training.report.inputs import ReportInputs, ReportReadings
 from trueangle_training.report.residuals import DriftedRun, Outlier, Residuals
+from trueangle_training.temperature_places import lines_text, places_by_temperature, places_sentence
+from trueangle_training.temperature_units import base_temperature_warnings
 
 FEWEST_TEMPERATURES = 5
 WIDEST_STEP_C = 10.0
@@ -48,7 +53,11 @@ def cautions(
         *_drift(drifted),
         *_misfit(found),
         *_coverage(covered),
+        *_not_judged(inputs),
         *_temperatures(inputs, found),
+        *_places(inputs, report),
+        *_base_temperature(inputs, report),
+        *_held_out(inputs, found),
         *_aliasing(inputs, report),
         *_ranges(inputs, report),
         *_datum(report, found),
@@ -139,6 +148,17 @@ def _coverage(covered: float | None) -> Iterator[Caution]:
         )
 
 
+def _not_judged(inputs: ReportInputs) -> Iterator[Caution]:
+    """Only where temperature matters: there is nothing else to leave out by."""
+    metadata = inputs.metadata
+    if metadata.temperature_used and metadata.errors.held_out_rmse_arcsec is None:
+        yield Caution(
+            title="Not judged at left-out temperatures",
+            text="No figure here says how wrong the model is at temperatures that it was not trained on "
+            "(train --held-out temperature, or trueangle compare).",
+        )
+
+
 def _temperatures(inputs: ReportInputs, found: Residuals) -> Iterator[Caution]:
     if not inputs.temperature_known or not inputs.metadata.temperature_used:
         yield Caution(
@@ -159,6 +179,47 @@ def _temperatures(inputs: ReportInputs, found: Residuals) -> Iterator[Caution]:
         yield Caution(
             title="Wide step between temperatures",
             text=f"{widest_c:.0f} K between neighbours: a knee in between would not be seen.",
+        )
+
+
+def _places(inputs: ReportInputs, report: ReportReadings) -> Iterator[Caution]:
+    if not inputs.temperature_known or not inputs.metadata.temperature_used:
+        return
+    partly = [
+        each for each in places_by_temperature(report.readings, report.row) if each.missing or not each.whole
+    ]
+    if not partly:
+        return
+    listed = "; ".join(
+        f"{each.temperature_c:.1f} °C ({lines_text(each.rows)}): {places_sentence(each).replace(' deg', '°')}"
+        for each in partly[:ROWS_SHOWN]
+    )
+    more = f"; … {len(partly)} temperatures in all" if len(partly) > ROWS_SHOWN else ""
+    yield Caution(
+        title="Places of the turn missing at some temperatures",
+        text=f"{listed}{more}. Measure them, or look whether the lines were lost.",
+    )
+
+
+def _base_temperature(inputs: ReportInputs, report: ReportReadings) -> Iterator[Caution]:
+    if inputs.joint is None or not inputs.temperature_known:
+        return
+    run_mean_c = report.readings.run_mean_temperature_c()
+    for text in base_temperature_warnings(
+        run_mean_c, inputs.joint.base_temperature_c, source=inputs.campaign.source
+    ):
+        yield Caution(title="Far from the joint's base temperature", text=f"{text.replace('degC', '°C')}.")
+
+
+def _held_out(inputs: ReportInputs, found: Residuals) -> Iterator[Caution]:
+    errors = inputs.metadata.errors
+    if errors.held_out_rmse_arcsec is None or errors.held_out_kind != HeldOutKind.TEMPERATURE.value:
+        return
+    text = held_out_caution(errors.held_out_rmse_arcsec, found.noise_arcsec or None)
+    if text is not None:
+        yield Caution(
+            title="Far off at left-out temperatures",
+            text=f"{text[0].upper()}{text[1:]}.".replace(" arcsec", "″").replace("degC", "°C"),
         )
 
 
@@ -194,9 +255,7 @@ def _ranges(inputs: ReportInputs, report: ReportReadings) -> Iterator[Caution]:
 def _datum(report: ReportReadings, found: Residuals) -> Iterator[Caution]:
     readings = report.readings
     datum = f"{wrap_deg(readings.datum_deg):.4g}°"
-    zeros = np.unique(np.stack([readings.run, _zero_labels(report)]), axis=1)
-    shared = np.unique(_zero_labels(report)).size < zeros.shape[1]
-    if shared:
+    if shows_datum_drift(readings):
         yield Caution(
             title="The datum's own drift",
             text=f"Errors are counted from {datum} at the same temperature. Runs share a zero here, so the "
@@ -222,8 +281,3 @@ def _datum_drift(report: ReportReadings, found: Residuals) -> str:
         f"{mean - means[0]:+.2f}″ at {temperature_c:.0f} °C"
         for mean, temperature_c in zip(means[1:], found.temperature_c[1:], strict=True)
     )
-
-
-def _zero_labels(report: ReportReadings) -> "np.ndarray[tuple[int], np.dtype[np.int64]]":
-    zero_group = report.readings.zero_group
-    return report.readings.run if zero_group is None else zero_group

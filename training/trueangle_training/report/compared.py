@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import cast
 
 from trueangle.contract.errors import ContractError, Fault
+from trueangle_training.hidden_node_sweep import FEWEST_POINTS, HiddenNodeSweep, SweepPoint
 
 FORMAT = 1
 AT_TEMPERATURE = "leave-one-temperature-out"
@@ -40,6 +41,12 @@ class ComparedMethods:
     simulated: bool
     methods: tuple[ComparedMethod, ...]
     """In the file's order: best first."""
+    sweeps: tuple[HiddenNodeSweep, ...] = ()
+    """Those that can be shown."""
+
+    def sweep(self, method: str) -> HiddenNodeSweep | None:
+        """The hidden-node sweep of one method; None: the file has none."""
+        return next((sweep for sweep in self.sweeps if sweep.method == method), None)
 
 
 def read_comparison(data: bytes, *, source: str) -> ComparedMethods:
@@ -60,7 +67,43 @@ def read_comparison(data: bytes, *, source: str) -> ComparedMethods:
         campaign_sha256=str(calibration.get("sha256", "")),
         simulated=bool(document.get("simulated", False)),
         methods=tuple(_method(each) for each in methods),
+        sweeps=tuple(
+            sweep
+            for name, entry in _mapping(document.get("hidden_nodes")).items()
+            if (sweep := _sweep(name, _mapping(entry))) is not None
+        ),
     )
+
+
+def _sweep(method: str, entry: Mapping[str, object]) -> HiddenNodeSweep | None:
+    """None: less than two points with all their figures."""
+    points: list[SweepPoint] = []
+    for each in map(_mapping, _listed(entry.get("points"))):
+        nodes, rmse = _number(each.get("hidden_nodes")), _number(each.get("rmse"))
+        error = _number(each.get("standard_error"))
+        at_temperature = [_number(value) for value in _listed(each.get("at_temperature"))]
+        if nodes is None or rmse is None or error is None:
+            return None
+        points.append(
+            SweepPoint(
+                hidden_nodes=int(nodes),
+                rmse_arcsec=rmse,
+                standard_error_arcsec=error,
+                at_temperature_arcsec=tuple(value for value in at_temperature if value is not None),
+            )
+        )
+    if len(points) < FEWEST_POINTS:
+        return None
+    return HiddenNodeSweep(
+        method=method,
+        setting=str(entry.get("setting", "")),
+        temperatures=tuple(str(label) for label in _listed(entry.get("temperatures"))),
+        points=tuple(sorted(points, key=lambda point: point.hidden_nodes)),
+    )
+
+
+def _listed(value: object) -> list[object]:
+    return cast("list[object]", value) if isinstance(value, list) else []
 
 
 def _method(entry: Mapping[str, object]) -> ComparedMethod:

@@ -9,20 +9,12 @@ from numpy.typing import NDArray
 from trueangle.contract.calibration import Campaign
 from trueangle.contract.joint import Joint
 from trueangle.contract.metadata import ModelMetadata
+from trueangle_training.hidden_node_sweep import HiddenNodeSweep
 from trueangle_training.methods import TrainingReadings
 from trueangle_training.report.compared import ComparedMethods
 from trueangle_training.report.served import Corrections
 
 Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SweepPoint:
-    """One number of hidden nodes and what it gave."""
-
-    hidden_nodes: int
-    rmse_arcsec: float
-    standard_error_arcsec: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -40,7 +32,8 @@ class ReportInputs:
     joint: Joint | None = None
     """Temperature sensor and noise as stated; None: no JOINT.yaml was given."""
     comparison: ComparedMethods | None = None
-    sweep: tuple[SweepPoint, ...] = ()
+    sweep: HiddenNodeSweep | None = None
+    """None: the method has no hidden nodes, or they were not tried."""
 
     @property
     def of_training(self) -> bool:

@@ -14,9 +14,10 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from trueangle.contract.units import wrap_deg
+from trueangle_training.hidden_node_sweep import HiddenNodeSweep
 from trueangle_training.report.budget import Budget
 from trueangle_training.report.harmonics import TemperatureHarmonics
-from trueangle_training.report.inputs import ReportInputs, ReportReadings, SweepPoint
+from trueangle_training.report.inputs import ReportInputs, ReportReadings
 from trueangle_training.report.residuals import Residuals
 
 Floats = NDArray[np.float64]
@@ -48,6 +49,10 @@ STYLE: dict[Any, Any] = {
 }
 MAP_ANGLES, MAP_TEMPERATURES = 241, 61
 SHOWN_ORDERS = (1, 2, 3)
+LABEL_BORDER, LABEL_APART, LABEL_LENGTH = 0.07, 0.13, 0.2
+"""In parts of a map's sides: half a label, a label and some air, the shortest line that has one."""
+MINUS = "\N{MINUS SIGN}"
+LABEL_BOX: dict[str, Any] = {"boxstyle": "round,pad=0.15", "facecolor": "#fffdf8", "alpha": 0.8, "linewidth": 0}
 
 
 def _svg(draw: Callable[[Axes], None], *, height_inch: float = SIZE_INCH[1]) -> bytes:
@@ -102,7 +107,7 @@ def residual_points(report: ReportReadings, found: Residuals, budget: Budget) ->
     limit = budget.expanded_reading_arcsec
 
     def draw(axes: Axes) -> None:
-        axes.axhspan(-limit, limit, color=FAINT, alpha=0.5, linewidth=0, label="U (k = 2) of one reading")
+        axes.axhspan(-limit, limit, color=FAINT, alpha=0.5, linewidth=0, label="U (k = 2) of one reading, RMS")
         axes.scatter(
             wrap_deg(report.readings.angle_deg),
             found.centred_arcsec,
@@ -152,11 +157,47 @@ def error_map(inputs: ReportInputs, *, from_middle: bool) -> bytes:
         )
         levels = [level for level in MaxNLocator(6).tick_values(-limit, limit) if abs(level) < limit]
         lines = axes.contour(angles, temperatures, error, levels=levels, colors=INK, linewidths=0.5)
-        axes.clabel(lines, fontsize=7.5, fmt="%g")
+        # matplotlib's own labels are cut at the border and unreadable where the map is dark.
+        drawn = [(level, line) for level, of_level in zip(levels, lines.allsegs, strict=True) for line in of_level]
+        for index, angle, at_c in contour_label_places([line for _, line in drawn], angles, temperatures):
+            axes.text(
+                angle,
+                at_c,
+                f"{drawn[index][0]:g}".replace("-", MINUS),
+                fontsize=7.5,
+                ha="center",
+                va="center",
+                bbox=LABEL_BOX,
+            )
         _angle_axis(axes, "temperature / °C")
         axes.figure.colorbar(mesh, ax=axes, label="arcsec", pad=0.02, aspect=28)
 
     return _svg(draw)
+
+
+def contour_label_places(
+    lines: list[Floats], angles: Floats, temperatures: Floats
+) -> list[tuple[int, float, float]]:
+    """Number of the line, angle and temperature: near its middle, off the border and off other labels.
+
+    `lines` [points, 2] each, angle and temperature; short lines and lines along the border get no label.
+    """
+    low = np.array([angles[0], temperatures[0]])
+    span = np.array([angles[-1] - angles[0], temperatures[-1] - temperatures[0]])
+    chosen: list[Floats] = []
+    places: list[tuple[int, float, float]] = []
+    for number, line in enumerate(lines):
+        scaled = (line - low) / span
+        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(scaled, axis=0).T))])
+        if along[-1] < LABEL_LENGTH:
+            continue
+        inside = np.flatnonzero(((scaled > LABEL_BORDER) & (scaled < 1.0 - LABEL_BORDER)).all(axis=1))
+        for index in inside[np.argsort(np.abs(along[inside] - along[-1] / 2.0), kind="stable")]:
+            if all(float(np.hypot(*(scaled[index] - other))) > LABEL_APART for other in chosen):
+                chosen.append(scaled[index])
+                places.append((number, float(line[index, 0]), float(line[index, 1])))
+                break
+    return places
 
 
 def error_curve(inputs: ReportInputs) -> bytes:
@@ -254,19 +295,27 @@ def thermal_change(by_temperature: tuple[TemperatureHarmonics, ...]) -> bytes:
     return _svg(draw, height_inch=3.3)
 
 
-def sweep_curve(sweep: tuple[SweepPoint, ...]) -> bytes:
-    """RMSE over the number of hidden nodes: Fig. 8 of Jia et al. 2020."""
+def sweep_curve(sweep: HiddenNodeSweep, repeatability_arcsec: float | None) -> bytes:
+    """RMSE at left-out temperatures over the number of hidden nodes: Fig. 8 of Jia et al. 2020, held out."""
+    nodes = [point.hidden_nodes for point in sweep.points]
 
     def draw(axes: Axes) -> None:
+        if repeatability_arcsec is not None:
+            axes.axhline(repeatability_arcsec, color=FAINT, linewidth=2, label="repeatability of one reading")
         axes.errorbar(
-            [point.hidden_nodes for point in sweep],
-            [point.rmse_arcsec for point in sweep],
-            yerr=[2.0 * (point.standard_error_arcsec or 0.0) for point in sweep],
+            nodes,
+            [point.rmse_arcsec for point in sweep.points],
+            yerr=[2.0 * point.standard_error_arcsec for point in sweep.points],
             marker="o",
             markersize=4,
+            capsize=3,
             color=ACCENT,
+            label="left-out temperatures",
         )
         axes.set(xlabel="hidden nodes", ylabel="RMSE / arcsec")
+        axes.set_xticks(nodes)
+        axes.set_ylim(bottom=0.0)
+        axes.legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
     return _svg(draw)
 

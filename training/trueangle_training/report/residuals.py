@@ -10,20 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trueangle.contract.units import wrap_deg
 from trueangle_training.methods import TrainingReadings
-from trueangle_training.outliers import contradictions
+from trueangle_training.outliers import CONSPICUOUS, conspicuous, contradictions, departures_from_repeats
 from trueangle_training.report.inputs import ReportReadings
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 SAME_TEMPERATURE_C = 1.0
-SAME_PLACE_DEG = 0.5
 NORMAL_OVER_MAD = 1.4826
-CONSPICUOUS = 5.5
-"""Times the noise: the residuals of a robust surface have longer tails than the readings, and at 4.5 one sound
-campaign in twenty had a conspicuous reading."""
 DRIFT_CHANCE = 0.001
 """Of a run of a sound campaign to be called drifted, shared among all its runs."""
 COVERAGE_FACTOR = 2.0
@@ -91,7 +86,7 @@ def residuals(report: ReportReadings) -> Residuals:
     centred = left - means[zero]
     freedom = max(len(readings) - means.size, 1)
     group, means_c = temperature_groups(readings)
-    departure = _from_repeats(readings, group, centred)
+    departure = departures_from_repeats(readings, centred)
     shown = centred if departure.size == 0 else departure
     return Residuals(
         centred_arcsec=centred,
@@ -104,37 +99,28 @@ def residuals(report: ReportReadings) -> Residuals:
     )
 
 
-def _from_repeats(readings: TrainingReadings, temperature_group: Integers, values: Floats) -> Floats:
-    """Departures from the mean of readings at the same place and temperature, scaled to the spread of one."""
-    place = np.rint(wrap_deg(readings.angle_deg) / SAME_PLACE_DEG).astype(np.int64) % round(360.0 / SAME_PLACE_DEG)
-    cell = np.unique(np.stack([temperature_group, place]), axis=1, return_inverse=True)[1].reshape(-1)
-    count = np.bincount(cell)[cell]
-    departure = values - (np.bincount(cell, weights=values) / np.bincount(cell))[cell]
-    repeated = count > 1
-    # A mean of r readings takes 1/r of the variance of each with it.
-    return departure[repeated] / np.sqrt(1.0 - 1.0 / count[repeated])
-
-
 def outliers(report: ReportReadings, found: Residuals) -> tuple[Outlier, ...]:
-    """Readings beyond CONSPICUOUS times the noise, the worst first.
+    """Readings far from all others, the worst first: those that the training names.
 
     Held against a robust surface through all readings, so that neither a model that follows an outlier nor one
     that fits badly hides it; against the model where there are too few readings for one.
     """
     readings = report.readings
     surface = contradictions(readings)
-    off = found.centred_arcsec if surface is None else surface.residual_arcsec
-    scale = max(found.noise_arcsec, NORMAL_OVER_MAD * float(np.median(np.abs(off))))
-    size = np.abs(off)
-    far = np.flatnonzero((size > CONSPICUOUS * scale) & (scale > 0.0))
+    if surface is None:
+        size = np.abs(found.centred_arcsec)
+        far = np.flatnonzero((size > CONSPICUOUS * found.noise_arcsec) & (found.noise_arcsec > 0.0))
+        named = [(index, float(found.centred_arcsec[index])) for index in far[np.argsort(-size[far])].tolist()]
+    else:
+        named = [(each.index, each.residual_arcsec) for each in conspicuous(readings, surface)]
     return tuple(
         Outlier(
             row=int(report.row[index]),
             angle_deg=float(readings.angle_deg[index]),
             temperature_c=float(readings.temperature_c[index]),
-            residual_arcsec=float(off[index]),
+            residual_arcsec=residual_arcsec,
         )
-        for index in far[np.argsort(-size[far])].tolist()
+        for index, residual_arcsec in named
     )
 
 

@@ -3,12 +3,11 @@
 import base64
 import math
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from trueangle_training.evaluation.held_out import repeatability_arcsec
-from trueangle_training.files import write_whole
+from trueangle_training.hidden_node_sweep import HiddenNodeSweep
 from trueangle_training.html_page import Markup, page
 from trueangle_training.report import plots
 from trueangle_training.report.budget import Budget, uncertainty_budget
@@ -47,11 +46,6 @@ class HarmonicRow:
     change_matters: bool
 
 
-def write_report(path: Path, inputs: ReportInputs) -> None:
-    """Write the page in one piece."""
-    write_whole(path, report_page(inputs).encode())
-
-
 def report_page(inputs: ReportInputs) -> str:
     """The page as HTML; the same inputs give the same text."""
     report = report_readings(inputs)
@@ -81,7 +75,7 @@ def report_page(inputs: ReportInputs) -> str:
             "covered": covered,
             "budget": budget,
             "cautions": listed,
-            "pictures": _pictures(inputs, report, found, budget, by_temperature),
+            "pictures": _pictures(inputs, report, found, budget, by_temperature, noise),
             "harmonics": _harmonic_rows(by_temperature),
             "by_temperature": by_temperature,
             "comparison": inputs.comparison,
@@ -104,24 +98,27 @@ def _pictures(
     found: Residuals,
     budget: Budget,
     by_temperature: tuple[TemperatureHarmonics, ...],
+    noise_arcsec: float | None,
 ) -> dict[str, tuple[Picture, ...]]:
     return {
         "errors": _error_pictures(inputs, report, found, budget),
         "maps": _map_pictures(inputs),
         "harmonics": _harmonic_pictures(by_temperature),
-        "sweep": ()
-        if not inputs.sweep
-        else (
-            _picture(
-                plots.sweep_curve(inputs.sweep),
-                "Error by number of nodes",
-                "RMSE over the number of hidden nodes, with twice its standard error, as in Fig. 8 of the "
-                "paper. Made from the readings of the training: it favours more nodes.",
-                "RMSE over hidden nodes: "
-                + ", ".join(f"{point.hidden_nodes}: {point.rmse_arcsec:.2f}″" for point in inputs.sweep),
-            ),
-        ),
+        "sweep": () if inputs.sweep is None else (_sweep_picture(inputs.sweep, noise_arcsec),),
     }
+
+
+def _sweep_picture(sweep: HiddenNodeSweep, noise_arcsec: float | None) -> Picture:
+    left_out = ", ".join(label.replace("degC", "°C") for label in sweep.temperatures)
+    return _picture(
+        plots.sweep_curve(sweep, noise_arcsec),
+        "Error by number of nodes",
+        f"RMSE at temperatures that were left out of the training one by one ({left_out}), noise of the readings "
+        "included; bars: twice the standard error over these temperatures. All points share the "
+        f"readings, so the bars move together. Method {sweep.method}: {sweep.setting}.",
+        "Left-out RMSE over hidden nodes: "
+        + ", ".join(f"{point.hidden_nodes}: {point.rmse_arcsec:.2f}″" for point in sweep.points),
+    )
 
 
 def _error_pictures(

@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from trueangle_training.genetic import GeneticOptions, MutationForm
 from trueangle_training.methods import TrainingReadings
+from trueangle_training.methods.base_series import fit_base_series
 from trueangle_training.methods.fe_gabpnn_paper import Fitness
 from trueangle_training.methods.fepf import Fepf
+from trueangle_training.methods.harmonics_poly import HIGHEST_ORDER, HarmonicsPoly
 from trueangle_training.methods.least_squares import Constant, fit_harmonics_times_powers
 from trueangle_training.methods.poly2d import Poly2d, fit_poly2d
 from trueangle_training.reproduction.network_trials import (
@@ -41,6 +43,9 @@ class Row(Enum):
     BPNN = "BPNN, 25 nodes"
     POLY2D = "2-D polynomial, degree 5"
     FEPF = "FEPF, orders 0-7, degree 5"
+    NONE = "no correction"
+    ANGLE_ONLY = "harmonics 0-11 at the base temperature, temperature ignored"
+    HARMONICS_POLY = "harmonics 0-11, degree 2 in temperature (the 2019 idea)"
 
 
 FITNESS_ROWS: Mapping[Fitness, Row] = {
@@ -125,8 +130,10 @@ def run_experiment(campaign: NominalCampaign, options: ExperimentOptions, seed: 
     if options.fitness is not Fitness.UNTRAINED:
         trained |= _after_lm_rows(campaign, options, seed)
     polynomial, fepf = _surface_residuals(campaign)
+    baselines = _baseline_residuals(campaign)
     rows = {row: _residuals(each) for row, each in trained.items()}
     rows |= {Row.POLY2D: _one_residual(polynomial), Row.FEPF: _one_residual(fepf)}
+    rows |= {row: _one_residual(residual) for row, residual in baselines.items()}
     shown = trained[FITNESS_ROWS[options.fitness]]
     return NoiseSeedResult(
         seed=seed,
@@ -196,17 +203,38 @@ def _figure_8(
 
 def _surface_residuals(campaign: NominalCampaign) -> tuple[Floats, Floats]:
     """Residuals of eq. (12) and of eqs. (13)-(14), their constants included, [readings]."""
-    angle_deg, temperature_c, error_arcsec = campaign.flat()
-    run = np.repeat(np.arange(campaign.readings // campaign.angle_deg.size), campaign.angle_deg.size)
-    readings = TrainingReadings(
-        angle_deg=angle_deg, error_arcsec=error_arcsec, temperature_c=temperature_c, run=run
-    )
+    readings = _readings(campaign)
+    angle_deg, temperature_c, error_arcsec = readings.angle_deg, readings.temperature_c, readings.error_arcsec
     polynomial = fit_poly2d(readings, degree=Poly2d().degree)
     method = Fepf()
     fepf = fit_harmonics_times_powers(
         readings, order=method.order, degree=method.degree, constant=Constant.POLYNOMIAL
     )
     return error_arcsec - polynomial.value_arcsec(angle_deg, temperature_c), error_arcsec - fepf.fitted_arcsec
+
+
+def _readings(campaign: NominalCampaign) -> TrainingReadings:
+    angle_deg, temperature_c, error_arcsec = campaign.flat()
+    run = np.repeat(np.arange(campaign.readings // campaign.angle_deg.size), campaign.angle_deg.size)
+    return TrainingReadings(angle_deg=angle_deg, error_arcsec=error_arcsec, temperature_c=temperature_c, run=run)
+
+
+def _baseline_residuals(campaign: NominalCampaign) -> dict[Row, Floats]:
+    """What a correction must beat, counted as in the tables: from E(θ, T) itself, [readings] each."""
+    readings = _readings(campaign)
+    error_arcsec = readings.error_arcsec
+    series = fit_base_series(readings, base_temperature_c=BASE_TEMPERATURE_C, order=None)
+    harmonics_poly = fit_harmonics_times_powers(
+        readings,
+        order=min(HIGHEST_ORDER, (campaign.angle_deg.size - 1) // 2),
+        degree=HarmonicsPoly().degree,
+        constant=Constant.POLYNOMIAL,
+    )
+    return {
+        Row.NONE: error_arcsec,
+        Row.ANGLE_ONLY: error_arcsec - series.evaluate(readings.angle_deg),
+        Row.HARMONICS_POLY: error_arcsec - harmonics_poly.fitted_arcsec,
+    }
 
 
 def _residuals(trials: NetworkTrials) -> Residuals:

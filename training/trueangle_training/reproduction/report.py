@@ -1,5 +1,6 @@
 """The experiment as Markdown: tables beside the published ones, and what the text leaves open."""
 
+import json
 from collections.abc import Iterator
 
 from trueangle_training.reproduction.experiment import Row
@@ -14,6 +15,7 @@ from trueangle_training.reproduction.summary import (
 
 TABLE_1 = (Row.UNTRAINED, Row.AS_PRINTED, Row.AFTER_LM, Row.HANDED_ON, Row.FE_BPNN, Row.BPNN)
 TABLE_2 = (Row.POLY2D, Row.FEPF)
+BASELINES = (Row.NONE, Row.ANGLE_ONLY, Row.HARMONICS_POLY)
 FITNESS_TITLES = {
     "untrained": "fitness of the untrained weights",
     "after_lm": "fitness after 20 LM steps",
@@ -57,7 +59,7 @@ def report_lines(summary: ExperimentSummary) -> Iterator[str]:
     yield "# The experiment of Jia et al. 2020 (Sensors 20, 2603) on a simulated joint"
     yield ""
     yield f"Means over {many} with their standard errors; {summary.trials} trials of each network a seed. Arcsec."
-    for title, rows in (("Table 1", TABLE_1), ("Table 2", TABLE_2)):
+    for title, rows in (("Table 1", TABLE_1), ("Table 2", TABLE_2), ("Baselines, not in the paper", BASELINES)):
         yield ""
         yield f"## {title}"
         yield ""
@@ -78,9 +80,27 @@ def report_lines(summary: ExperimentSummary) -> Iterator[str]:
     yield from (f"- {note}" for note in NOTES)
 
 
+def figure_8_json(summary: ExperimentSummary) -> bytes:
+    """Figure 8 as data, in arcsec; the standard errors are null where there is one noise seed."""
+    document = {
+        "format": 1,
+        "figure": 8,
+        "what": "in-sample RMSE over hidden nodes, fitness of the untrained weights, mean over noise seeds",
+        "seeds": list(summary.seeds),
+        "trials": summary.trials,
+        "points": [
+            {"hidden_nodes": nodes, "rmse": mean.value, "standard_error": mean.standard_error}
+            for nodes, mean in summary.figure_8
+        ],
+    }
+    return (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
+
+
 def _row_line(each: RowSummary) -> str:
-    published = PUBLISHED[each.row]
     extremes = f"{_shown(each.lowest, 1)} .. {_shown(each.highest, 1)}"
+    published = PUBLISHED.get(each.row)
+    if published is None or each.over_published is None:
+        return f"| {each.row.value} | {_shown(each.rmse, 3)} | - | - | {extremes} | - |"
     off_percent = 100.0 * each.over_published
     return (
         f"| {each.row.value} | {_shown(each.rmse, 3)} | {published.rmse:.2f} | {off_percent:+.1f} % | "

@@ -1,22 +1,16 @@
-"""A calibration campaign with polygon and autocollimator, as an operator would measure it.
-
-One run for each temperature, repeat and direction, in this order. In a run the shaft is stopped where the
-autocollimator sees the next face, once round, starting at the first stop at or after the encoder's zero. With the
-polygon turned on the shaft by s face pitches, face p is seen at the true angle (p - 1 + s) 360 / faces: the whole
-part of s only renames the faces, its fraction moves the stops.
+"""A calibration campaign as an operator would measure it, with polygon and autocollimator or a reference encoder.
 
 Each run is zeroed at its first reading (Eq. 11 of Jia et al. 2020): with indicated angle theta_j, autocollimator
 reading delta_j and the nominal angle phi_j of stop j from the first one,
 
     error_j = (theta_j - delta_j) - (theta_1 - delta_1) - phi_j
 
-so the noise of the first reading enters all of the run. A plan with one zero counts all runs from the campaign's
-first reading: the drift of the datum with temperature then stays in the errors.
+so the noise of the first reading enters all of the run. Runs that share a zero are counted from the first reading
+of them all: the drift of the datum with temperature then stays in the errors.
 """
 
 import hashlib
-import math
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,55 +18,25 @@ from numpy.typing import NDArray
 
 from trueangle.contract.calibration import Campaign, campaign_to_csv
 from trueangle.contract.errors import ContractError, Fault
-from trueangle.contract.joint import Joint, Plan, PlanZero, ReferenceKind
+from trueangle.contract.joint import EFFECT_NAMES, Joint, Plan, ReferenceKind
 from trueangle.contract.units import ARCSEC_PER_DEG, DEG_PER_TURN
+from trueangle_training.effects.conditions import Conditions, Timeline
 from trueangle_training.simulator.joint import SimulatedJoint
+from trueangle_training.simulator.schedule import SECONDS_PER_HOUR, Leg, legs
 
-SECONDS_PER_HOUR = 3600.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunSetup:
-    """One run of a plan: what distinguishes it from the others."""
-
-    run: int
-    temperature_c: float
-    """Set point."""
-    offset_faces: float
-    """Turn of the polygon on the shaft, 0 <= offset < faces."""
-    direction: int
-    started_s: float
-
-    @property
-    def whole_faces(self) -> int:
-        """By how many whole faces the polygon is turned: it only renames the faces."""
-        return math.floor(self.offset_faces)
-
-    def stops(self, faces: int) -> NDArray[np.int64]:
-        """Place of each reading in the turn, counted in faces from the first one, shape [faces]."""
-        # Downwards the first stop is the same one, then the last: both directions share their zero.
-        return self.direction * np.arange(faces) % faces
-
-    def stop_deg(self, faces: int) -> NDArray[np.float64]:
-        """True angle of each reading, shape [faces]."""
-        broken = self.offset_faces - self.whole_faces
-        return (self.stops(faces).astype(np.float64) + broken) * (DEG_PER_TURN / faces)
-
-    def stop_faces(self, faces: int) -> NDArray[np.int64]:
-        """Polygon face 1..n of each reading, shape [faces]."""
-        return (self.stops(faces) - self.whole_faces) % faces + 1
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Readings:
-    """The readings of one run, shape [faces], in the order in which they were taken."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Draws:
+    """All that is drawn for the joint itself; shapes [readings]."""
 
-    angle_deg: NDArray[np.float64]
-    from_stop_arcsec: NDArray[np.float64]
-    """Error, not yet zeroed."""
-    face: NDArray[np.int64]
-    temperature_c: float
-    """Shown by the sensor."""
+    temperature_c: Floats
+    """Of the place of the sensor, the chamber's jitter included."""
+    noise_arcsec: Floats
+    autocollimator_arcsec: Floats
+    """0 against a reference encoder, whose scatter counts as the joint's repeatability."""
 
 
 def simulate_campaign(simulated: SimulatedJoint, plan: Plan, seed: int) -> Campaign:
@@ -82,39 +46,53 @@ def simulate_campaign(simulated: SimulatedJoint, plan: Plan, seed: int) -> Campa
     just before the run: a first stop may be a few arcsec below 0 and is not wrapped to 360. `row` and `sha256` are
     those of the campaign written without comments.
     """
-    _check_polygon(simulated.joint, plan)
-    rng = np.random.default_rng(seed)
-    setups = tuple(run_setups(plan))
-    runs = tuple(_measure_run(simulated, plan, setup, rng) for setup in setups)
-    zeroed = [(each, (runs[0] if plan.zero is PlanZero.ONE else each).from_stop_arcsec[0]) for each in runs]
-    n = plan.faces
-    elapsed_s = np.arange(n, dtype=np.float64) * plan.seconds_per_reading
-
-    def each_run(values: list[int]) -> NDArray[np.int64]:
-        return np.repeat(np.array(values, dtype=np.int64), n)
-
-    run = each_run([setup.run for setup in setups])
+    joint = simulated.joint
+    ways = legs(plan)
+    _check_polygon(joint, plan, ways)
+    draws = _draws(joint, plan, ways, np.random.default_rng(seed))
+    conditions = _conditions(joint, plan, ways, draws)
+    counts = simulated.indicated_counts(conditions, draws.noise_arcsec, lambda name: _effect_rng(seed, name))
+    angle_deg = counts.astype(np.float64) * (DEG_PER_TURN / joint.encoder.counts_per_rev)
+    error_arcsec = (angle_deg - conditions.angle_deg) * ARCSEC_PER_DEG - draws.autocollimator_arcsec
+    error_arcsec += simulated.reference_arcsec(conditions, lambda name: _effect_rng(seed, name))
+    if joint.reference.polygon_arcsec > 0.0 and conditions.face is not None:
+        error_arcsec -= _face_deviations_arcsec(joint, seed)[conditions.face]
     campaign = Campaign(
-        angle_deg=np.concatenate([readings.angle_deg for readings in runs]),
-        error_arcsec=np.concatenate([readings.from_stop_arcsec - zero_arcsec for readings, zero_arcsec in zeroed]),
-        run=run,
-        zero_group=np.ones_like(run) if plan.zero is PlanZero.ONE else run.copy(),
-        row=np.arange(2, run.size + 2, dtype=np.int64),
+        angle_deg=angle_deg,
+        error_arcsec=_zeroed(error_arcsec, conditions.zero_group),
+        run=conditions.run,
+        zero_group=conditions.zero_group,
+        row=np.arange(2, counts.size + 2, dtype=np.int64),
         source="simulation",
         sha256="",
-        temperature_c=np.repeat(np.array([readings.temperature_c for readings in runs]), n),
-        time_s=np.concatenate([setup.started_s + elapsed_s for setup in setups]),
-        direction=each_run([setup.direction for setup in setups]),
-        velocity_deg_s=np.zeros(run.size),
-        face=np.concatenate([readings.face for readings in runs]),
-        polygon_offset=each_run([setup.whole_faces for setup in setups]),
+        temperature_c=simulated.shown_temperatures_c(draws.temperature_c),
+        time_s=conditions.time_s,
+        direction=_each([leg.direction for leg in ways], ways),
+        velocity_deg_s=conditions.velocity_deg_s,
+        load_nm=conditions.load_nm,
+        face=conditions.face,
+        polygon_offset=conditions.polygon_offset,
     )
     digest = hashlib.sha256(campaign_to_csv(campaign).encode()).hexdigest()
     return replace(campaign, sha256=digest)
 
 
-def _check_polygon(joint: Joint, plan: Plan) -> None:
+def _effect_rng(seed: int, name: str) -> np.random.Generator:
+    # A trailing 0 would be the campaign's own stream: numpy pads seeds with zeros.
+    return np.random.default_rng([seed, 2 + EFFECT_NAMES.index(name)])
+
+
+def _face_deviations_arcsec(joint: Joint, seed: int) -> Floats:
+    """How far each face stands from where it is taken to stand; index 0, a reference encoder, stays 0."""
+    faces = joint.reference.faces or 0
+    deviations = np.random.default_rng([seed, 1]).normal(0.0, joint.reference.polygon_arcsec, size=faces)
+    return np.concatenate([[0.0], deviations])
+
+
+def _check_polygon(joint: Joint, plan: Plan, ways: Sequence[Leg]) -> None:
     reference = joint.reference
+    if not any(leg.polygon for leg in ways):
+        return
     if reference.kind is not ReferenceKind.POLYGON:
         found = reference.kind.value
         raise ContractError([Fault(where="reference.kind", expected="polygon to simulate", found=found)])
@@ -123,37 +101,96 @@ def _check_polygon(joint: Joint, plan: Plan) -> None:
         raise ContractError([Fault(where="the plan's faces", expected=expected, found=str(plan.faces))])
 
 
-def run_setups(plan: Plan) -> Iterator[RunSetup]:
-    """The runs of a plan in the order in which they are measured."""
-    run = 0
-    clock_s = 0.0
-    for temperature_c in plan.temperatures_c:
-        clock_s += plan.soak_h * SECONDS_PER_HOUR
-        for repeat in range(plan.repeats):
-            for direction in plan.directions:
-                run += 1
-                yield RunSetup(
-                    run=run,
-                    temperature_c=temperature_c,
-                    offset_faces=repeat * plan.shift_faces % plan.faces,
-                    direction=direction,
-                    started_s=clock_s,
-                )
-                clock_s += plan.faces * plan.seconds_per_reading
-
-
-def _measure_run(simulated: SimulatedJoint, plan: Plan, setup: RunSetup, rng: np.random.Generator) -> _Readings:
-    reference = simulated.joint.reference
-    jitter_c = plan.temperature_jitter_c
-    temperature_c = setup.temperature_c + rng.uniform(-jitter_c, jitter_c)
-    true_deg = setup.stop_deg(plan.faces)
-    counts = simulated.indicated_counts(true_deg, temperature_c, rng)
-    autocollimator_arcsec = rng.normal(0.0, reference.autocollimator_arcsec, size=plan.faces)
-    angle_deg = counts.astype(np.float64) * (DEG_PER_TURN / simulated.joint.encoder.counts_per_rev)
-    from_stop_arcsec = (angle_deg - true_deg) * ARCSEC_PER_DEG - autocollimator_arcsec
-    return _Readings(
-        angle_deg=angle_deg,
-        from_stop_arcsec=from_stop_arcsec,
-        face=setup.stop_faces(plan.faces),
-        temperature_c=simulated.shown_temperature_c(temperature_c),
+def _draws(joint: Joint, plan: Plan, ways: Sequence[Leg], rng: np.random.Generator) -> _Draws:
+    """Run by run, in the order in which they are measured."""
+    temperature_c: list[Floats] = []
+    noise_arcsec: list[Floats] = []
+    autocollimator_arcsec: list[Floats] = []
+    began_s, offset_c = 0.0, 0.0
+    for before, leg in zip((None, *ways), ways, strict=False):
+        if before is None or before.run != leg.run:
+            jitter_c = plan.temperature_jitter_c
+            began_s, offset_c = float(leg.time_s[0]), rng.uniform(-jitter_c, jitter_c)
+        since_h = (leg.time_s - began_s) / SECONDS_PER_HOUR
+        temperature_c.append((leg.set_point_c + offset_c) + leg.ramp_c_per_h * since_h)
+        size = leg.true_deg.size
+        noise_arcsec.append(rng.normal(0.0, joint.noise.repeatability_arcsec, size=size))
+        scatter_arcsec = joint.reference.autocollimator_arcsec if leg.polygon else 0.0
+        autocollimator_arcsec.append(rng.normal(0.0, scatter_arcsec, size=size))
+    return _Draws(
+        temperature_c=np.concatenate(temperature_c),
+        noise_arcsec=np.concatenate(noise_arcsec),
+        autocollimator_arcsec=np.concatenate(autocollimator_arcsec),
     )
+
+
+def _each(values: Sequence[int], ways: Sequence[Leg]) -> Integers:
+    """One value of each leg, for each of its readings."""
+    return np.repeat(np.array(values, dtype=np.int64), [leg.true_deg.size for leg in ways])
+
+
+def _conditions(joint: Joint, plan: Plan, ways: Sequence[Leg], draws: _Draws) -> Conditions:
+    lengths = [leg.true_deg.size for leg in ways]
+    loaded = any(leg.load_nm != 0.0 for leg in ways)
+    return Conditions(
+        angle_deg=np.concatenate([leg.true_deg for leg in ways]),
+        run=_each([leg.run for leg in ways], ways),
+        zero_group=_each([leg.zero_group for leg in ways], ways),
+        lines_per_rev=joint.encoder.lines_per_rev,
+        counts_per_rev=joint.encoder.counts_per_rev,
+        base_temperature_c=joint.base_temperature_c,
+        temperature_c=draws.temperature_c,
+        time_s=np.concatenate([leg.time_s for leg in ways]),
+        direction=_each([leg.direction for leg in ways], ways).astype(np.float64),
+        velocity_deg_s=np.repeat([leg.velocity_deg_s for leg in ways], lengths),
+        load_nm=np.repeat([leg.load_nm for leg in ways], lengths) if loaded else None,
+        face=np.concatenate([leg.face for leg in ways]),
+        polygon_offset=_each([leg.polygon_offset for leg in ways], ways),
+        faces=joint.reference.faces,
+        joint=joint,
+        timeline=_timeline(joint, plan, ways, draws.temperature_c),
+    )
+
+
+def _timeline(joint: Joint, plan: Plan, ways: Sequence[Leg], temperature_c: Floats) -> Timeline:
+    """From equilibrium at the base temperature on; ContractError where a soak ends before the chamber is there."""
+    time_s: list[Floats] = [np.zeros(1)]
+    knot_c: list[Floats] = [np.array([joint.base_temperature_c])]
+    speed_deg_s: list[Floats] = [np.zeros(1)]
+    faults: list[Fault] = []
+    first = 0
+    for leg in ways:
+        own_c = temperature_c[first : first + leg.time_s.size]
+        first += leg.time_s.size
+        speed = np.full(leg.time_s.size, abs(leg.velocity_deg_s))
+        speed[0] = 0.0
+        if leg.soaked_since_s is not None:
+            before_c, after_c = knot_c[-1][-1], own_c[0]
+            soak_s = float(leg.time_s[0]) - leg.soaked_since_s
+            rate = plan.chamber_c_per_h
+            change_s = 0.0 if rate is None else abs(after_c - before_c) / rate * SECONDS_PER_HOUR
+            # A step within the jitter is no change of the set point.
+            if change_s > soak_s and abs(after_c - before_c) > 2 * plan.temperature_jitter_c:
+                needed = f"at least {change_s / SECONDS_PER_HOUR:.2g} h to {leg.set_point_c:g} degC"
+                found = f"{soak_s / SECONDS_PER_HOUR:.2g} h"
+                faults.append(Fault(where="soak_h beside chamber_c_per_h", expected=needed, found=found))
+            change_s = min(change_s, soak_s)
+            time_s.append(leg.soaked_since_s + np.array([0.0, change_s]))
+            knot_c.append(np.array([before_c, after_c]))
+            speed_deg_s.append(np.zeros(2))
+        time_s.append(leg.time_s)
+        knot_c.append(own_c)
+        speed_deg_s.append(speed)
+    if faults:
+        raise ContractError(faults)
+    return Timeline(
+        time_s=np.concatenate(time_s),
+        temperature_c=np.concatenate(knot_c),
+        speed_deg_s=np.concatenate(speed_deg_s),
+    )
+
+
+def _zeroed(from_stop_arcsec: Floats, zero_group: Integers) -> Floats:
+    """Each zero group counted from its first reading."""
+    _, first, place = np.unique(zero_group, return_index=True, return_inverse=True)
+    return from_stop_arcsec - from_stop_arcsec[first][place]

@@ -74,6 +74,10 @@ class LiveJoint:
     seed: int
     """Of the noise, any 64-bit signed integer; joints of one bus take different ones."""
 
+    def __post_init__(self) -> None:
+        # The node's sample is a function of angle and temperature: what else an effect needs, it does not know.
+        self.simulated.require_series()
+
     def truth(self, sequence: int) -> Truth:
         """The true state at sample number `sequence`."""
         time_s = sequence * self.sample_period_s

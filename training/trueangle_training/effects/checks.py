@@ -1,56 +1,21 @@
-"""What an effect of the library is: a name, settings read from JOINT.yaml, and the terms they give."""
+"""What settings of effects have in common: the ranges of their numbers and the checks between them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Annotated, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Annotated
 
 from trueangle.contract.document import Range
 from trueangle.contract.errors import ContractError, Fault
-from trueangle.contract.joint import Joint
-from trueangle_training.effects.harmonics import HarmonicSeries, HarmonicTerm, Order
+from trueangle_training.effects.harmonics import Order
 
 DEFAULT_LAST_ORDER = 11
 Amplitude = Annotated[float, Range(minimum=0, maximum=36_000)]
 """The sign is in the phase; beyond 10 deg it is no longer an error but another angle."""
+SignedAmplitude = Annotated[float, Range(minimum=-36_000, maximum=36_000)]
+"""Of a shape that has no phase."""
 Phase = Annotated[float, Range(minimum=-360, maximum=360)]
 Degree = Annotated[int, Range(minimum=1, maximum=5)]
-
-
-class EffectSettings(Protocol):
-    """The settings of one effect, a dataclass that `contract.document.structure` can fill."""
-
-    def terms(self, joint: Joint) -> tuple[HarmonicTerm, ...] | None:
-        """The effect as harmonic terms; None where no nominal parameter is given.
-
-        Raises ContractError, each fault placed by the name of the setting it is about.
-        """
-        ...
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EffectKind:
-    """An entry of the library."""
-
-    name: str
-    settings: type[EffectSettings]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Effect:
-    """An effect of one joint with its nominal parameters."""
-
-    name: str
-    terms: tuple[HarmonicTerm, ...]
-    series: HarmonicSeries
-
-    def error_arcsec(
-        self, angle_deg: NDArray[np.float64], temperature_c: NDArray[np.float64] | float
-    ) -> NDArray[np.float64]:
-        """The effect's share of the error (indicated - true) at true angles and temperatures."""
-        return self.series.error_arcsec(angle_deg, temperature_c)
+LowOrder = Annotated[int, Range(minimum=0, maximum=2)]
+TimeConstant = Annotated[float, Range(minimum=1, maximum=1e6)]
 
 
 def both_or_neither(first: str, first_value: float | None, second: str, second_value: float | None) -> None:

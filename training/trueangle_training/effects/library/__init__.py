@@ -1,0 +1,1 @@
+"""The effects, one file each: `EFFECT` of a file is its entry."""
