@@ -13,6 +13,7 @@ from trueangle.contract.errors import TrueangleError
 from trueangle_training import (
     compare_command,
     demo_command,
+    diagnose_command,
     errors_command,
     plan_command,
     report_command,
@@ -30,6 +31,7 @@ COMMANDS: tuple[Register, ...] = (
     report_command.register,
     reproduce_command.register,
     simulate_command.register,
+    diagnose_command.register,
     demo_command.register,
 )
 EXIT_BAD_INPUT = 2

@@ -1,0 +1,112 @@
+"""The map of cells: as many false alarms as allowed on coloured noise, and planted patterns where they are."""
+
+import numpy as np
+import pytest
+from tests.training.gap_campaigns import SIGMA_ARCSEC, campaign, problem
+
+from trueangle_training.diagnosis.location import FoundPart, where
+from trueangle_training.diagnosis.problem import Problem
+from trueangle_training.diagnosis.recalibration import recalibration_span
+from trueangle_training.diagnosis.scatter_map import run_homogeneity
+from trueangle_training.diagnosis.sign_flips import flip_test, visible_block
+from trueangle_training.effects.cells import Cell
+
+
+def places(made: Problem, *found: FoundPart):
+    return where(made, floor_arcsec2=SIGMA_ARCSEC**2, rng=np.random.default_rng(1), found=found)
+
+
+def test_noise_is_significant_in_no_more_than_one_map_of_twenty() -> None:
+    """Mean and scatter cells are a family of 5 % each: 20 maps have 7 or more with probability below 0.005."""
+    alarms = sum(any(p.significant for p in places(problem(campaign(seed)))) for seed in range(200, 220))
+    assert alarms < 7
+
+
+@pytest.mark.parametrize(
+    ("pattern", "cell"),
+    [
+        (lambda theta, t, run: 0.5 * np.cos(5 * theta), Cell(order="5")),
+        (lambda theta, t, run: 0.05 * (t - 25) * np.cos(3 * theta), Cell(order="3", temperature="linear")),
+        (
+            lambda theta, t, run: 0.004 * (t - 25) ** 2 * np.cos(2 * theta),
+            Cell(order="2", temperature="quadratic"),
+        ),
+        (lambda theta, t, run: 0.5 * theta, Cell(order="0", time="within_run")),
+    ],
+    ids=["order 5", "order 3 with temperature", "order 2 bent over temperature", "creep in a run"],
+)
+def test_a_planted_pattern_is_significant_and_first(pattern: object, cell: Cell) -> None:
+    found = places(problem(campaign(20, pattern)))  # pyright: ignore[reportArgumentType]
+    assert found[0].significant
+    if cell.time == "constant":
+        assert found[0].cell == cell
+        assert found[0].share > 0.7
+    else:
+        # On an equally spaced polygon a slope within the run is a pattern over the faces as well.
+        assert cell in {each.cell for each in found if each.significant}
+
+
+def test_a_pattern_with_the_direction_is_odd() -> None:
+    made = campaign(
+        21, lambda theta, t, run: np.where(run % 2 == 0, 0.4, -0.4) * np.cos(2 * theta), directions=(1, -1)
+    )
+    assert places(problem(made))[0].cell == Cell(order="2", direction="odd")
+
+
+def test_what_was_found_leads_the_map() -> None:
+    made = problem(campaign(22, lambda theta, t, run: 0.5 * np.cos(5 * theta)))
+    curve = 0.5 * np.cos(5 * np.radians(made.conditions.angle_deg))
+    cell = Cell(order="5")
+    found = places(made, FoundPart(cell=cell, simple=True, curve_arcsec=curve))
+    assert found[0].cell == cell
+    assert sum(each.share for each in found) == pytest.approx(1.0)
+    assert found[0].share > 0.95
+
+
+def test_cells_of_few_runs_are_not_testable_and_say_how_many_are_needed() -> None:
+    made = problem(campaign(23, temperatures_c=(10.0, 20.0, 30.0), repeats=2))
+    found = places(made)
+    assert found
+    mean = [each for each in found if each.cell.moment == "mean"]
+    assert not any(each.significant for each in mean)
+    assert {each.runs_needed for each in mean if each.p_value is None} == {8}
+
+
+def test_flipping_runs_reaches_the_smallest_p_of_an_exact_pattern() -> None:
+    """All 10 runs agree: only the flips that leave all signs alike are as extreme, p about 2^-9."""
+    made = problem(campaign(24, temperatures_c=(20.0,), repeats=10))
+    span = recalibration_span(made)
+    theta = np.radians(made.conditions.angle_deg)
+    block = visible_block(np.cos(5 * theta)[:, None], span, least_visible=0.02)
+    assert block is not None
+    unit = made.conditions.run - 1
+    test = flip_test(
+        span.outside(np.cos(5 * theta)), [block], unit, span, flips=8000, rng=np.random.default_rng(2)
+    )
+    assert test.own_p_value[0] == pytest.approx(2.0**-9, rel=0.6)
+
+
+def test_scatter_that_grows_with_temperature_is_on_the_map_of_the_variance() -> None:
+    rng = np.random.default_rng(3)
+    made = campaign(25, lambda theta, t, run: rng.normal(0.0, 0.06 * (t - 5.0)))
+    found = [each for each in places(problem(made)) if each.cell.moment == "variance" and each.significant]
+    assert Cell(order="0", temperature="linear", moment="variance") in {each.cell for each in found}
+
+
+def test_one_odd_run_and_a_step_between_runs_are_found_and_alike_runs_are_not() -> None:
+    def homogeneity(seed: int, pattern: object = None):
+        made = problem(campaign(seed, pattern))  # pyright: ignore[reportArgumentType]
+        result = run_homogeneity(
+            made, recalibration_span(made).outside(made.error_arcsec), np.random.default_rng(4)
+        )
+        assert result is not None
+        return result
+
+    odd = homogeneity(30, lambda theta, t, run: 2.0 * (run == 7) * np.cos(4 * theta))
+    assert (odd.odd_run, odd.odd_p_value < 0.001) == (7, True)
+    step = homogeneity(31, lambda theta, t, run: 0.8 * (run >= 12) * np.cos(3 * theta))
+    assert (step.first_run_after_step, step.step_p_value < 0.01) == (12, True)
+    alike = [homogeneity(seed) for seed in range(300, 340)]
+    # 40 campaigns at 5 %: seven or more alarms have probability 0.003.
+    assert sum(each.odd_p_value < 0.05 for each in alike) < 7
+    assert sum(each.step_p_value < 0.05 for each in alike) < 7

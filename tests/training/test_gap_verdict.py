@@ -1,0 +1,135 @@
+"""From an attribution to words: names with probability and class, unknown, and effects of the scatter."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from tests.training import gap_campaigns
+
+from trueangle_training.diagnosis.attribution import attribute
+from trueangle_training.diagnosis.confidence import Grounds, class_probability
+from trueangle_training.diagnosis.design_check import design_check
+from trueangle_training.diagnosis.problem import Problem, problem_of
+from trueangle_training.diagnosis.scatter import coarser_ratio, noise_growth
+from trueangle_training.diagnosis.verdict import Verdict, VerdictKind, verdict_of
+from trueangle_training.effects import EFFECTS
+
+Floats = NDArray[np.float64]
+
+
+def _problem(seed: int, pattern: gap_campaigns.Pattern | None = None, **plan: Any) -> Problem:
+    return gap_campaigns.problem(gap_campaigns.campaign(seed, pattern, **plan), shapes=True)
+
+
+def _verdict(problem: Problem) -> Verdict:
+    return verdict_of(problem, attribute(problem), design_check(problem.without_errors()))
+
+
+def test_nothing_is_none() -> None:
+    verdict = _verdict(_problem(41))
+    assert verdict.kind is VerdictKind.NONE
+    assert verdict.causes == ()
+    assert not verdict.unexplained.significant
+
+
+def test_an_effect_that_stands_alone_is_named() -> None:
+    verdict = _verdict(_problem(42, lambda theta, t, run: 0.03 * (t - 25) * np.cos(4 * theta)))
+    assert verdict.kind is VerdictKind.NAMED
+    (cause,) = verdict.named
+    assert cause.effect == "thermal_graduation"
+    assert cause.effect_class == ("thermal_graduation",)
+    assert cause.probability >= 0.9
+    assert any("amplitude" in name for name in cause.parameters)
+
+
+def test_a_constant_pattern_is_a_class_and_no_single_name_is_sure() -> None:
+    verdict = _verdict(_problem(43, lambda theta, t, run: 0.8 * np.cos(5 * theta)))
+    (cause,) = verdict.causes
+    assert {"graduation_error", "reference_artefact"} <= set(cause.effect_class)
+    assert cause.class_probability >= 0.9
+    assert cause.probability < 0.9
+
+
+def test_the_class_holds_only_what_the_design_check_had_listed() -> None:
+    problem = _problem(43, lambda theta, t, run: 0.8 * np.cos(5 * theta))
+    design = design_check(problem.without_errors())
+    for cause in verdict_of(problem, attribute(problem), design).causes:
+        assert set(cause.effect_class[1:]) <= set(design.confusable(cause.effect))
+
+
+def _wandering(theta: Floats, t: Floats, run: NDArray[np.int64]) -> Floats:
+    """A phase that wanders with the temperature at order 4: in no library."""
+    return 1.5 * np.cos(4 * theta - 0.02 * (t - 25) ** 2)
+
+
+def test_what_no_effect_explains_is_unknown_with_its_cells() -> None:
+    verdict = _verdict(_problem(44, _wandering))
+    assert verdict.kind is VerdictKind.UNKNOWN or verdict.unexplained.significant
+    assert verdict.unexplained.significant
+    assert "4" in {cell.order for cell in verdict.unexplained.cells}
+    assert 0.0 <= verdict.unexplained.nearest_share <= 1.0
+
+
+def test_a_withheld_effect_is_unknown_and_named_once_it_is_back() -> None:
+    made = gap_campaigns.campaign(45, lambda theta, t, run: 0.03 * (t - 25) * np.cos(4 * theta))
+    without = {name: effect for name, effect in EFFECTS.items() if name != "thermal_graduation"}
+    missing = _verdict(problem_of(made, gap_campaigns.joint(), library=without))
+    assert missing.unexplained.significant
+    assert "thermal_graduation" not in {cause.effect for cause in missing.named}
+    cells = {(cell.order, cell.temperature) for cell in missing.unexplained.cells}
+    assert ("4", "linear") in cells
+    assert "thermal_graduation" in {
+        cause.effect
+        for cause in _verdict(_problem(45, lambda theta, t, run: 0.03 * (t - 25) * np.cos(4 * theta))).named
+    }
+
+
+def _louder(problem: Problem, by_temperature: float) -> Problem:
+    """Noise whose standard deviation grows by a factor over the plan's temperatures."""
+    t = problem.conditions.temperature_c
+    assert t is not None
+    rng = np.random.default_rng(9)
+    share = (t - t.min()) / np.ptp(t)
+    extra = np.sqrt(by_temperature ** (2 * share) - 1.0) * gap_campaigns.SIGMA_ARCSEC
+    return replace(problem, error_arcsec=problem.error_arcsec + extra * rng.normal(size=len(problem)))
+
+
+def test_noise_that_grows_with_temperature_is_found_and_steady_noise_is_not() -> None:
+    loud = _louder(_problem(46), 3.0)
+    (found, *_) = noise_growth(loud, attribute(loud).noise)
+    assert found.condition == "temperature_c"
+    assert found.significant
+    # 21 runs of some 14 degrees of freedom know the ratio to a fifth.
+    assert found.ratio == pytest.approx(3.0, rel=0.4)
+    assert _verdict(loud).named[0].effect == "noise_growth"
+    steady = [noise_growth(p, attribute(p).noise) for p in (_problem(50 + i) for i in range(6))]
+    assert not any(each and each[0].significant for each in steady)
+
+
+def test_a_coarser_lattice_of_counts_is_found_wherever_its_zero_is() -> None:
+    problem = _problem(47)
+    counts = problem.conditions.counts_per_rev
+    whole = np.rint(problem.conditions.angle_deg * counts / 360)
+    exact = replace(problem.conditions, angle_deg=whole * 360 / counts)
+    assert coarser_ratio(exact) is None
+    for ratio, zero in ((2, 0), (7, 3)):
+        coarse = (np.rint((whole - zero) / ratio) * ratio + zero) * 360 / counts
+        assert coarser_ratio(replace(exact, angle_deg=coarse)) == ratio
+
+
+def test_angles_that_are_no_whole_counts_show_no_lattice() -> None:
+    problem = _problem(48)
+    blurred = problem.conditions.angle_deg + np.random.default_rng(1).uniform(0, 1e-4, len(problem))
+    assert coarser_ratio(replace(problem.conditions, angle_deg=blurred)) is None
+
+
+def test_the_probability_rises_with_margin_and_evidence_and_falls_with_what_is_left() -> None:
+    base = Grounds(margin=3.0, log_evidence=10.0, left=0.02, by_named_share=False)
+    middle = class_probability(base)
+    assert class_probability(replace(base, margin=9.0)) > middle
+    assert class_probability(replace(base, margin=-6.0)) < 0.5
+    assert class_probability(replace(base, log_evidence=100.0)) >= middle
+    assert class_probability(replace(base, left=0.5)) <= middle
+    assert 0.0 < class_probability(replace(base, margin=-1e9)) < class_probability(replace(base, margin=1e9)) < 1.0

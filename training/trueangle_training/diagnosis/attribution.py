@@ -1,0 +1,315 @@
+"""Which effects explain what re-calibration leaves: cleaning, noise, evidence and selection, twice over.
+
+The second pass estimates cleaning and noise anew with the found part as mean, so that an effect that was taken for
+noise at first, or noise for an effect, is seen for what it is.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueangle_training.diagnosis.cleaning import Cleaned, Dictionary, clean, wide_dictionary
+from trueangle_training.diagnosis.evidence import (
+    Accepted,
+    Evidence,
+    evidence_of,
+    fit,
+    scores,
+    stacked_columns,
+)
+from trueangle_training.diagnosis.noise import NoiseModel, estimate_noise, run_kinds
+from trueangle_training.diagnosis.problem import Problem
+from trueangle_training.diagnosis.selection import Families, Selection, families_of, family_evidence, select
+from trueangle_training.diagnosis.spectra import RunTransform, run_transform
+from trueangle_training.effects.effect import Nature
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+NAMED_IN_SPITE_OF_GENERIC = 0.20
+"""Share of generic patterns up to which names stand as they are."""
+LEFT_TO_GENERIC = 0.10
+"""Share that a choice among the library alone may leave to the best generic pattern and still be the answer."""
+MOST_NAMES_WITHOUT_GENERIC = 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Member:
+    """One shape that is part of the explanation."""
+
+    effect: str | None
+    """None: a generic pattern."""
+    hypothesis_index: int
+    """In `Problem.hypotheses`."""
+    coefficients: Floats
+    """Main then wiggle, in the hypothesis's own units."""
+    covariance: Floats
+    log_evidence: float
+    """Given the other members, penalty taken off."""
+    share: float
+    """What is lost of the explained energy when it is removed, 0 to 1."""
+    curve_arcsec: Floats
+    """[readings], as the shape has it: what an offset could take up is still in it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Candidate:
+    """A family and how well it would do instead of the first member (or at all, where there is none)."""
+
+    effect: str | None
+    family: str
+    log_evidence: float
+    hypothesis_index: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Attribution:
+    """What explains the errors, and all that the verdict is based on."""
+
+    members: tuple[Member, ...]
+    """Ordered by share."""
+    modelled_coefficients: Floats
+    """Of drift and modelled columns, re-calibrated together with the members."""
+    noise: NoiseModel
+    cleaned_arcsec: Floats
+    """[readings]: errors with wild readings brought back to their neighbours."""
+    outlier_rows: Integers
+    """Readings that were replaced."""
+    candidates: tuple[Candidate, ...]
+    """All families given all members but the first, best first."""
+    rivals: tuple[tuple[Candidate, ...], ...]
+    """Of each member, all families given the other members, best first."""
+    by_named_share: bool
+    """The library alone explains so much that generic patterns were set aside."""
+    left_to_generic: float
+    """Share that the best generic pattern would take beside the members."""
+    residual_energy: float
+    """Mean square of the whitened residual; 1 where noise is all that is left."""
+    explained_energy: float
+    """Whitened energy of the explained part: twice the nats a perfect shape would win."""
+
+    def predict(self, problem: Problem) -> Floats:
+        """[readings] of `problem` (same hypotheses, any rows): modelled effects and members, without offsets."""
+        return self.modelled(problem) + self.explained(problem)
+
+    def modelled(self, problem: Problem) -> Floats:
+        """[readings]: the re-calibrated part alone."""
+        return np.column_stack([problem.drift, problem.modelled]) @ self.modelled_coefficients
+
+    def explained(self, problem: Problem) -> Floats:
+        """[readings]: the members alone."""
+        total = np.zeros(len(problem))
+        for member in self.members:
+            total += curve_of(problem, member.hypothesis_index, member.coefficients)
+        return total
+
+
+def curve_of(problem: Problem, hypothesis_index: int, coefficients: Floats) -> Floats:
+    """[readings] of one hypothesis with main and wiggle coefficients."""
+    shape = problem.hypotheses[hypothesis_index]
+    mains = shape.main.shape[1]
+    return shape.main @ coefficients[:mains] + shape.wiggle @ coefficients[mains:]
+
+
+def attribute(problem: Problem) -> Attribution:
+    """Explain the errors of a problem."""
+    state = _State.of(problem)
+    evidence, families, noise, cleaned = state.weighed(problem, None)
+    selection, by_share = _chosen(problem, evidence, families)
+    if selection.accepted:
+        mean = _explained_arcsec(problem, evidence, selection)
+        evidence, families, noise, cleaned = state.weighed(problem, mean)
+        selection, by_share = _chosen(problem, evidence, families)
+    return _attribution(problem, evidence, families, selection, noise, cleaned, by_share)
+
+
+def weighed_evidence(problem: Problem) -> tuple[Evidence, Families, NoiseModel]:
+    """All hypotheses weighed once, before anything is accepted."""
+    evidence, families, noise, _ = _State.of(problem).weighed(problem, None)
+    return evidence, families, noise
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _State:
+    """What both passes share."""
+
+    dictionary: Dictionary
+    kinds: Integers
+    scale_group: Integers
+    transform: RunTransform
+    transformed: NDArray[np.floating]
+    """[all columns, rows] of all hypotheses, in the run-wise cosine transform."""
+
+    @staticmethod
+    def of(problem: Problem) -> "_State":
+        transform = run_transform(problem.conditions.run, problem.conditions.time_s)
+        kinds = run_kinds(problem.conditions, transform)
+        return _State(
+            dictionary=wide_dictionary(problem),
+            kinds=kinds,
+            scale_group=kinds[transform.run_index],
+            transform=transform,
+            transformed=transform.of_stacked(stacked_columns(problem)),
+        )
+
+    def weighed(
+        self, problem: Problem, mean_arcsec: Floats | None
+    ) -> tuple[Evidence, Families, NoiseModel, Cleaned]:
+        """Clean and estimate the noise about a mean, then weigh all hypotheses on the cleaned errors."""
+        cleaned = clean(problem, self.dictionary, scale_group=self.scale_group, mean_arcsec=mean_arcsec)
+        about = cleaned.error_arcsec if mean_arcsec is None else cleaned.error_arcsec - mean_arcsec
+        noise = estimate_noise(
+            about,
+            self.dictionary.whole,
+            self.transform,
+            self.kinds,
+            problem.conditions,
+            # What a first pass has found is taken off: what is left at the slowest cosines of the runs is noise.
+            shared=None if mean_arcsec is None else self.dictionary.shared,
+        )
+        evidence = evidence_of(problem, noise, cleaned.error_arcsec, self.transformed)
+        return evidence, families_of(evidence, problem.hypotheses), noise, cleaned
+
+
+def _explained_arcsec(problem: Problem, evidence: Evidence, selection: Selection) -> Floats:
+    found = fit(evidence, selection.accepted)
+    total = np.zeros(len(problem))
+    at = 0
+    for each in selection.accepted:
+        width = int(evidence.width[each.block])
+        own = evidence.column_range(each.block)
+        total += curve_of(
+            problem,
+            int(evidence.hypothesis[each.block]),
+            found.coefficients[at : at + width] * evidence.scale[own],
+        )
+        at += width
+    return total
+
+
+def _chosen(problem: Problem, evidence: Evidence, families: Families) -> tuple[Selection, bool]:
+    """The selection, and whether it is of the library alone although generic patterns do better.
+
+    A wide generic pattern beats an effect with several events or a slightly bent shape; where two names explain
+    nearly all, the names are the answer. run_to_run_eccentricity is no such name: it can imitate any order 1.
+    """
+    everything = np.ones(evidence.hypothesis.size, dtype=bool)
+    selection = select(evidence, families, everything)
+    if _generic_share(families, selection) <= NAMED_IN_SPITE_OF_GENERIC:
+        return selection, False
+    library = ~families.generic[families.of_block]
+    named = select(evidence, families, library)
+    effects = {problem.hypotheses[evidence.hypothesis[each.block]].effect for each in named.accepted}
+    drawn = any(
+        problem.hypotheses[evidence.hypothesis[each.block]].nature is Nature.RANDOM for each in named.accepted
+    )
+    if not named.accepted or len(effects) > MOST_NAMES_WITHOUT_GENERIC or drawn:
+        return selection, False
+    if _left_to_generic(evidence, families, named) >= LEFT_TO_GENERIC:
+        return selection, False
+    return named, True
+
+
+def _generic_share(families: Families, selection: Selection) -> float:
+    return sum(
+        share
+        for each, share in zip(selection.accepted, selection.share, strict=True)
+        if families.generic[families.of_block[each.block]]
+    )
+
+
+def _left_to_generic(evidence: Evidence, families: Families, selection: Selection) -> float:
+    """Share of all explained energy that the best generic pattern takes beside the selection."""
+    found = scores(evidence, selection.accepted)
+    generic = families.generic[families.of_block]
+    log_evidence = np.where(generic, found.log_evidence, -np.inf)
+    if not np.isfinite(log_evidence).any():
+        return 0.0
+    block = int(np.argmax(log_evidence - families.penalty[families.of_block]))
+    with_it = [*selection.accepted, Accepted(block=block, tau=float(found.tau[block]))]
+    whole = float(evidence.error @ evidence.error)
+    before, after = float(fit(evidence, selection.accepted).energy_left), float(fit(evidence, with_it).energy_left)
+    return max(0.0, (before - after) / max(whole - after, 1e-12))
+
+
+def _attribution(
+    problem: Problem,
+    evidence: Evidence,
+    families: Families,
+    selection: Selection,
+    noise: NoiseModel,
+    cleaned: Cleaned,
+    by_share: bool,
+) -> Attribution:
+    found = fit(evidence, selection.accepted)
+    members: list[Member] = []
+    at = 0
+    for each, log_evidence, share in zip(selection.accepted, selection.log_evidence, selection.share, strict=True):
+        width = int(evidence.width[each.block])
+        scale = evidence.scale[evidence.column_range(each.block)]
+        here = slice(at, at + width)
+        index = int(evidence.hypothesis[each.block])
+        coefficients = found.coefficients[here] * scale
+        members.append(
+            Member(
+                effect=problem.hypotheses[index].effect,
+                hypothesis_index=index,
+                coefficients=coefficients,
+                covariance=found.covariance[here, here] * np.outer(scale, scale),
+                log_evidence=log_evidence,
+                share=min(max(share, 0.0), 1.0),
+                curve_arcsec=curve_of(problem, index, coefficients),
+            )
+        )
+        at += width
+    rivals = tuple(
+        _candidates(problem, evidence, families, [a for a in selection.accepted if a is not each])
+        for each in selection.accepted
+    )
+    whole = float(evidence.error @ evidence.error)
+    left = float(found.energy_left)
+    freedom = max(1, len(problem) - evidence.nuisance.shape[0])
+    explained = sum((m.curve_arcsec for m in members), np.zeros(len(problem)))
+    return Attribution(
+        members=tuple(members),
+        modelled_coefficients=_recalibrated(problem, noise, cleaned.error_arcsec - explained),
+        noise=noise,
+        cleaned_arcsec=cleaned.error_arcsec,
+        outlier_rows=np.flatnonzero(cleaned.replaced),
+        candidates=rivals[0] if rivals else _candidates(problem, evidence, families, []),
+        rivals=rivals,
+        by_named_share=by_share,
+        left_to_generic=_left_to_generic(evidence, families, selection) if selection.accepted else 0.0,
+        residual_energy=left / freedom,
+        explained_energy=whole - left,
+    )
+
+
+def _candidates(
+    problem: Problem, evidence: Evidence, families: Families, accepted: list[Accepted]
+) -> tuple[Candidate, ...]:
+    log_evidence = scores(evidence, accepted).log_evidence
+    by_family = family_evidence(log_evidence, families)
+    found: list[Candidate] = []
+    for family in np.argsort(-by_family):
+        blocks = np.flatnonzero(families.of_block == family)
+        index = int(evidence.hypothesis[blocks[np.argmax(log_evidence[blocks])]])
+        found.append(
+            Candidate(
+                effect=problem.hypotheses[index].effect,
+                family=families.names[family],
+                log_evidence=float(by_family[family]),
+                hypothesis_index=index,
+            )
+        )
+    return tuple(found)
+
+
+def _recalibrated(problem: Problem, noise: NoiseModel, error_arcsec: Floats) -> Floats:
+    """Coefficients of drift and modelled columns by generalised least squares, offsets free."""
+    offsets = problem.offsets().shape[1]
+    design = noise.whiten(problem.nuisance())
+    # Offsets and modelled columns may share a direction: the shortest of all equal solutions is taken.
+    solution = np.linalg.lstsq(design, noise.whiten(error_arcsec), rcond=1e-8)[0]
+    return np.asarray(solution[offsets:], dtype=np.float64)

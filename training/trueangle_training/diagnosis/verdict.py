@@ -1,0 +1,302 @@
+"""What is said of an attribution: named causes with probability and class, and what stays unexplained."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueangle.contract.units import ARCSEC_PER_DEG, DEG_PER_TURN
+from trueangle_training.diagnosis.attribution import Attribution, Candidate, Member
+from trueangle_training.diagnosis.confidence import Grounds, class_probability
+from trueangle_training.diagnosis.design_check import CARRIED, Design
+from trueangle_training.diagnosis.parameters import Estimate, estimates
+from trueangle_training.diagnosis.problem import Problem
+from trueangle_training.diagnosis.scatter import Growth, coarser_ratio, noise_growth
+from trueangle_training.effects.cells import Cell
+from trueangle_training.effects.effect import Nature
+
+Floats = NDArray[np.float64]
+
+NAMED_FROM = 0.9
+"""Class probability from which a cause is named."""
+ONE_OF_A_CLASS = 0.89
+"""Highest probability of one name among several that the plan cannot tell apart."""
+IMITATES_WITHIN = 3.0
+"""A pattern drawn in each run can imitate any order 1: it is of the class only where it is as likely, in nats."""
+GROWTH_BESIDE_OTHERS_P = 0.0005
+"""What a found curve leaves over looks like noise that goes with its condition."""
+ABOVE_ROUNDING = 1.5
+BESIDE_ROUNDING = 0.5
+"""Highest probability of a cause whose curve is no larger than that of a resolution found too coarse."""
+WEAK_GENERIC = 20.0
+"""Log evidence of a lone generic pattern up to which growing noise explains it as well."""
+
+
+class VerdictKind(Enum):
+    """What the diagnosis says in a word."""
+
+    NONE = "none"
+    NAMED = "named"
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cause:
+    """One effect that is found."""
+
+    effect: str
+    """The likeliest of its class."""
+    probability: float
+    """That it is this effect."""
+    effect_class: tuple[str, ...]
+    """The effects that could carry at least 95 % of what was found, the named one first."""
+    class_probability: float
+    """That it is one of the class."""
+    nature: Nature
+    parameters: Mapping[str, Estimate]
+    share: float
+    """Of all that is explained, 0 to 1."""
+    members: tuple[int, ...]
+    """In `Attribution.members`; none for effects of the scatter."""
+    grounds: Grounds
+    growth: Growth | None = None
+    """Of noise that grows: with what."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Unexplained:
+    """Structure that no effect of the library explains."""
+
+    significant: bool
+    nearest_effect: str | None
+    """The effect that could carry most of it; None where there is nothing, or no effect carries any."""
+    nearest_share: float
+    """How much of it that effect could carry, 0 to 1."""
+    cells: tuple[Cell, ...]
+    """Where it lives, the largest first."""
+    share: float
+    """Of all structure that was found, 0 to 1."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """The answer to `which`."""
+
+    kind: VerdictKind
+    causes: tuple[Cause, ...]
+    """The most probable first; some may be too improbable to be named."""
+    unexplained: Unexplained
+
+    @property
+    def named(self) -> tuple[Cause, ...]:
+        """The causes that are stated."""
+        return tuple(cause for cause in self.causes if cause.class_probability >= NAMED_FROM)
+
+
+def verdict_of(problem: Problem, attribution: Attribution, design: Design) -> Verdict:
+    """Judge an attribution."""
+    causes = [_cause(problem, attribution, design, name) for name in _effects(attribution)]
+    generic = [member for member in attribution.members if member.effect is None]
+    growth = _growth(problem, attribution)
+    if growth is not None:
+        causes.append(growth)
+        if len(attribution.members) == 1 and generic and generic[0].log_evidence < WEAK_GENERIC:
+            generic = []
+    lattice = _lattice(problem)
+    if lattice is not None:
+        rounded = lattice.parameters["step_arcsec"].value / np.sqrt(12.0)
+        causes = [_doubted(problem, attribution, design, cause, rounded) for cause in causes]
+        causes.append(lattice)
+    causes.sort(key=lambda cause: -cause.class_probability)
+    unexplained = _unexplained(problem, attribution, design, generic)
+    if any(cause.class_probability >= NAMED_FROM for cause in causes):
+        kind = VerdictKind.NAMED
+    elif causes or unexplained.significant:
+        kind = VerdictKind.UNKNOWN
+    else:
+        kind = VerdictKind.NONE
+    return Verdict(kind=kind, causes=tuple(causes), unexplained=unexplained)
+
+
+def _effects(attribution: Attribution) -> tuple[str, ...]:
+    """Named once each, in the order of the members."""
+    return tuple(dict.fromkeys(m.effect for m in attribution.members if m.effect is not None))
+
+
+def _cause(problem: Problem, attribution: Attribution, design: Design, name: str) -> Cause:
+    places = [i for i, member in enumerate(attribution.members) if member.effect == name]
+    members = [attribution.members[i] for i in places]
+    leading = places[0]
+    rivals = attribution.rivals[leading]
+    curve = sum((m.curve_arcsec for m in members), np.zeros(len(problem)))
+    carried = design.spans.carried(curve)
+    own = next((c.log_evidence for c in rivals if c.effect == name), members[0].log_evidence)
+    effect_class = _class(problem, design, name, carried, rivals, own)
+    grounds = Grounds(
+        margin=own - _best_outside(problem, design, rivals, effect_class, curve),
+        log_evidence=own,
+        left=attribution.left_to_generic,
+        by_named_share=attribution.by_named_share,
+    )
+    whole = class_probability(grounds)
+    return Cause(
+        effect=name,
+        probability=whole * _within_class(name, effect_class, rivals),
+        effect_class=effect_class,
+        class_probability=whole,
+        nature=problem.library[name].nature,
+        parameters=estimates(problem, members),
+        share=min(1.0, sum(member.share for member in members)),
+        members=tuple(places),
+        grounds=grounds,
+    )
+
+
+def _class(
+    problem: Problem, design: Design, name: str, carried: Floats, rivals: Sequence[Candidate], own: float
+) -> tuple[str, ...]:
+    """The effects that could carry the found part and that the design check had listed for it."""
+    listed = set(design.confusable(name))
+    found: list[str] = []
+    for other, effect in problem.library.items():
+        if other == name or other not in listed:
+            continue
+        shares = [carried[i] for i, each in enumerate(problem.hypotheses) if each.effect == other]
+        if not shares or max(shares) < CARRIED:
+            continue
+        if effect.nature is Nature.RANDOM:
+            likely = next((c.log_evidence for c in rivals if c.effect == other), -np.inf)
+            if likely < own - IMITATES_WITHIN:
+                continue
+        found.append(other)
+    return (name, *found)
+
+
+def _best_outside(
+    problem: Problem,
+    design: Design,
+    rivals: Sequence[Candidate],
+    effect_class: Sequence[str],
+    curve: Floats,
+) -> float:
+    """Log evidence of the best rival that is another answer.
+
+    A generic pattern that carries as much of the found part as the class does is the same answer in other words.
+    """
+    for rival in rivals:
+        if rival.effect in effect_class:
+            continue
+        if rival.effect is None and np.isfinite(rival.log_evidence):
+            columns = problem.hypotheses[rival.hypothesis_index].main
+            if design.spans.carried_by(columns, curve) >= CARRIED:
+                continue
+        return rival.log_evidence if np.isfinite(rival.log_evidence) else 0.0
+    return 0.0
+
+
+def _within_class(name: str, effect_class: Sequence[str], rivals: Sequence[Candidate]) -> float:
+    """Probability of the name, given that its class is right."""
+    if len(effect_class) == 1:
+        return 1.0
+    evidence = {c.effect: c.log_evidence for c in rivals if c.effect in effect_class}
+    values = np.array([evidence.get(each, -np.inf) for each in effect_class])
+    share = np.exp(values - values.max())
+    return min(float(share[0] / share.sum()), ONE_OF_A_CLASS)
+
+
+def _growth(problem: Problem, attribution: Attribution) -> Cause | None:
+    if "noise_growth" not in problem.library:
+        return None
+    tested = noise_growth(problem, attribution.noise)
+    if not tested or not tested[0].significant:
+        return None
+    best = tested[0]
+    if attribution.members and best.p_value > GROWTH_BESIDE_OTHERS_P:
+        return None
+    # Two or three conditions were tried; a ratio near 1.15 is at the edge of what exchanging runs can tell.
+    probability = float(np.clip(1.0 - 40.0 * best.p_value, 0.5, 0.97))
+    grounds = Grounds(
+        margin=-float(np.log(best.p_value)),
+        log_evidence=-float(np.log(best.p_value)),
+        left=attribution.left_to_generic,
+        by_named_share=False,
+    )
+    return Cause(
+        effect="noise_growth",
+        probability=probability,
+        effect_class=("noise_growth",),
+        class_probability=probability,
+        nature=Nature.VARIANCE,
+        parameters={f"growth_over_{best.condition}": Estimate(value=best.ratio, standard_uncertainty=0.0)},
+        share=0.0,
+        members=(),
+        grounds=grounds,
+        growth=best,
+    )
+
+
+def _lattice(problem: Problem) -> Cause | None:
+    """A resolution that is coarser than stated: arithmetic, not statistics."""
+    if "quantisation" not in problem.library:
+        return None
+    ratio = coarser_ratio(problem.conditions)
+    if ratio is None:
+        return None
+    step_arcsec = ratio * DEG_PER_TURN * ARCSEC_PER_DEG / problem.conditions.counts_per_rev
+    return Cause(
+        effect="quantisation",
+        probability=0.98,
+        effect_class=("quantisation",),
+        class_probability=0.98,
+        nature=Nature.VARIANCE,
+        parameters={
+            "counts_per_rev": Estimate(
+                value=float(problem.conditions.counts_per_rev // ratio), standard_uncertainty=0.0
+            ),
+            "step_arcsec": Estimate(value=step_arcsec, standard_uncertainty=0.0),
+        },
+        share=0.0,
+        members=(),
+        grounds=Grounds(margin=40.0, log_evidence=40.0, left=0.0, by_named_share=False),
+    )
+
+
+def _doubted(
+    problem: Problem, attribution: Attribution, design: Design, cause: Cause, rounded_arcsec: float
+) -> Cause:
+    """A curve no larger than the rounding error may be the rounding error: at the same stops it comes again."""
+    curves = [attribution.members[place].curve_arcsec for place in cause.members]
+    seen = design.spans.projected(sum(curves, np.zeros(len(problem))))
+    if not curves or float(np.sqrt(np.mean(seen**2))) > ABOVE_ROUNDING * rounded_arcsec:
+        return cause
+    return replace(
+        cause,
+        probability=min(cause.probability, BESIDE_ROUNDING),
+        class_probability=min(cause.class_probability, BESIDE_ROUNDING),
+    )
+
+
+def _unexplained(
+    problem: Problem, attribution: Attribution, design: Design, generic: Sequence[Member]
+) -> Unexplained:
+    if not generic:
+        return Unexplained(significant=False, nearest_effect=None, nearest_share=0.0, cells=(), share=0.0)
+    curve = sum((member.curve_arcsec for member in generic), np.zeros(len(problem)))
+    carried = design.spans.carried(curve)
+    nearest: str | None = None
+    nearest_share = 0.0
+    for i, each in enumerate(problem.hypotheses):
+        if each.effect is None or each.nature is not Nature.MEAN:
+            continue
+        if carried[i] > nearest_share:
+            nearest, nearest_share = each.effect, float(carried[i])
+    cells = tuple(dict.fromkeys(problem.hypotheses[member.hypothesis_index].cell for member in generic))
+    return Unexplained(
+        significant=True,
+        nearest_effect=nearest,
+        nearest_share=nearest_share,
+        cells=cells,
+        share=min(1.0, sum(member.share for member in generic)),
+    )
