@@ -205,6 +205,13 @@ def test_noise_alone_is_no_effect(joint: Path) -> None:
     assert report["gap"]["closure"] is None  # pyright: ignore[reportIndexIssue]
 
 
+@pytest.mark.parametrize("effects", ["[]", "[run_to_run_eccentricity]"])
+def test_a_simulator_that_models_no_curve_is_diagnosed_all_the_same(effects: str, joint: Path) -> None:
+    joint.write_text(yaml.safe_dump({**yaml.safe_load(JOINT), "effects": yaml.safe_load(effects)}))
+    report = diagnosed(campaign_rows(seed=1), joint)
+    assert report["verdict"] in ("named", "unknown")
+
+
 def test_an_effect_that_the_plan_hides_is_listed_and_not_looked_for(joint: Path) -> None:
     report = diagnosed(campaign_rows(seed=3, extra=hysteresis), joint)
     assert report["verdict"] == "none"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.training.gap_campaigns import SIGMA_ARCSEC, campaign, problem
 
-from trueangle_training.diagnosis.location import FoundPart, where
+from trueangle_training.diagnosis.location import CellFit, FoundPart, where
 from trueangle_training.diagnosis.problem import Problem
 from trueangle_training.diagnosis.recalibration import recalibration_span
 from trueangle_training.diagnosis.scatter_map import run_homogeneity
@@ -57,7 +57,7 @@ def test_what_was_found_leads_the_map() -> None:
     made = problem(campaign(22, lambda theta, t, run: 0.5 * np.cos(5 * theta)))
     curve = 0.5 * np.cos(5 * np.radians(made.conditions.angle_deg))
     cell = Cell(order="5")
-    found = places(made, FoundPart(cell=cell, simple=True, curve_arcsec=curve))
+    found = places(made, FoundPart(cell=cell, fit=CellFit.WHOLE, curve_arcsec=curve))
     assert found[0].cell == cell
     assert sum(each.share for each in found) == pytest.approx(1.0)
     assert found[0].share > 0.95

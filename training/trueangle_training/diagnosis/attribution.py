@@ -20,9 +20,9 @@ from trueangle_training.diagnosis.evidence import (
 )
 from trueangle_training.diagnosis.noise import NoiseModel, estimate_noise, run_kinds
 from trueangle_training.diagnosis.problem import Problem
+from trueangle_training.diagnosis.random_draws import are_no_draws
 from trueangle_training.diagnosis.selection import Families, Selection, families_of, family_evidence, select
 from trueangle_training.diagnosis.spectra import RunTransform, run_transform
-from trueangle_training.effects.effect import Nature
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -118,7 +118,7 @@ def attribute(problem: Problem) -> Attribution:
     evidence, families, noise, cleaned = state.weighed(problem, None)
     selection, by_share = _chosen(problem, evidence, families)
     if selection.accepted:
-        mean = _explained_arcsec(problem, evidence, selection)
+        mean = np.sum(_curves(problem, evidence, selection), axis=0)
         evidence, families, noise, cleaned = state.weighed(problem, mean)
         selection, by_share = _chosen(problem, evidence, families)
     return _attribution(problem, evidence, families, selection, noise, cleaned, by_share)
@@ -172,43 +172,51 @@ class _State:
         return evidence, families_of(evidence, problem.hypotheses), noise, cleaned
 
 
-def _explained_arcsec(problem: Problem, evidence: Evidence, selection: Selection) -> Floats:
+def _curves(problem: Problem, evidence: Evidence, selection: Selection) -> list[Floats]:
+    """[readings] of each accepted block."""
     found = fit(evidence, selection.accepted)
-    total = np.zeros(len(problem))
+    curves: list[Floats] = []
     at = 0
     for each in selection.accepted:
         width = int(evidence.width[each.block])
-        own = evidence.column_range(each.block)
-        total += curve_of(
-            problem,
-            int(evidence.hypothesis[each.block]),
-            found.coefficients[at : at + width] * evidence.scale[own],
-        )
+        coefficients = found.coefficients[at : at + width] * evidence.scale[evidence.column_range(each.block)]
+        curves.append(curve_of(problem, int(evidence.hypothesis[each.block]), coefficients))
         at += width
-    return total
+    return curves
 
 
 def _chosen(problem: Problem, evidence: Evidence, families: Families) -> tuple[Selection, bool]:
-    """The selection, and whether it is of the library alone although generic patterns do better.
+    """The selection, and whether it is of the library alone although other patterns do better.
 
-    A wide generic pattern beats an effect with several events or a slightly bent shape; where two names explain
-    nearly all, the names are the answer. run_to_run_eccentricity is no such name: it can imitate any order 1.
+    A wide pattern beats an effect with several events or a slightly bent shape, be it generic or drawn anew in
+    each run; where two names with a curve of their own explain nearly all, the names are the answer.
+    run_to_run_eccentricity is no such name: it can imitate any order 1.
     """
     everything = np.ones(evidence.hypothesis.size, dtype=bool)
     selection = select(evidence, families, everything)
-    if _generic_share(families, selection) <= NAMED_IN_SPITE_OF_GENERIC:
+    drawn = any(evidence.drawn[each.block] for each in selection.accepted)
+    if _generic_share(families, selection) <= NAMED_IN_SPITE_OF_GENERIC and not drawn:
         return selection, False
-    library = ~families.generic[families.of_block]
-    named = select(evidence, families, library)
+    wide = families.generic[families.of_block] | evidence.drawn
+    named = select(evidence, families, ~wide)
     effects = {problem.hypotheses[evidence.hypothesis[each.block]].effect for each in named.accepted}
-    drawn = any(
-        problem.hypotheses[evidence.hypothesis[each.block]].nature is Nature.RANDOM for each in named.accepted
-    )
-    if not named.accepted or len(effects) > MOST_NAMES_WITHOUT_GENERIC or drawn:
-        return selection, False
-    if _left_to_generic(evidence, families, named) >= LEFT_TO_GENERIC:
-        return selection, False
-    return named, True
+    few = 0 < len(effects) <= MOST_NAMES_WITHOUT_GENERIC
+    if few and _left_to(evidence, families, named, wide) < LEFT_TO_GENERIC:
+        return named, True
+    if any(_is_orderly(problem, evidence, selection, each) for each in selection.accepted):
+        return select(evidence, families, ~evidence.drawn), False
+    return selection, False
+
+
+def _is_orderly(problem: Problem, evidence: Evidence, selection: Selection, member: Accepted) -> bool:
+    """Whether an effect drawn in each run follows the runs' conditions, and so is not drawn."""
+    hypothesis = int(evidence.hypothesis[member.block])
+    if not evidence.drawn[member.block] or problem.hypotheses[hypothesis].effect is None:
+        return False
+    found = fit(evidence, selection.accepted)
+    own = evidence.column_range(member.block)
+    coefficients = found.coefficients[np.isin(found.columns, own)] * evidence.scale[own]
+    return are_no_draws(problem.conditions, curve_of(problem, hypothesis, coefficients))
 
 
 def _generic_share(families: Families, selection: Selection) -> float:
@@ -219,11 +227,10 @@ def _generic_share(families: Families, selection: Selection) -> float:
     )
 
 
-def _left_to_generic(evidence: Evidence, families: Families, selection: Selection) -> float:
-    """Share of all explained energy that the best generic pattern takes beside the selection."""
+def _left_to(evidence: Evidence, families: Families, selection: Selection, rivals: NDArray[np.bool_]) -> float:
+    """Share of all explained energy that the best of the rivals ([blocks]) takes beside the selection."""
     found = scores(evidence, selection.accepted)
-    generic = families.generic[families.of_block]
-    log_evidence = np.where(generic, found.log_evidence, -np.inf)
+    log_evidence = np.where(rivals, found.log_evidence, -np.inf)
     if not np.isfinite(log_evidence).any():
         return 0.0
     block = int(np.argmax(log_evidence - families.penalty[families.of_block]))
@@ -280,7 +287,11 @@ def _attribution(
         candidates=rivals[0] if rivals else _candidates(problem, evidence, families, []),
         rivals=rivals,
         by_named_share=by_share,
-        left_to_generic=_left_to_generic(evidence, families, selection) if selection.accepted else 0.0,
+        left_to_generic=(
+            _left_to(evidence, families, selection, families.generic[families.of_block])
+            if selection.accepted
+            else 0.0
+        ),
         residual_energy=left / freedom,
         explained_energy=whole - left,
     )

@@ -35,6 +35,10 @@ SMOOTHEST_OWN_PATTERN = 12
 LEAST_LEFT = 0.2
 LONGEST_BURST = 8
 """Readings. One that lasts to the end of its run could be lost counts as well: nothing is claimed from it."""
+LONGEST_AT_END = 4
+"""Readings before the end of a run that are a burst however many runs end so."""
+LARGEST_AT_END = 8.0
+"""Times the standard deviation, of such a longer one."""
 BURST_GAIN = 10.0
 """Half the energy of a burst in units of the variance: nats that taking it out wins."""
 RUNS_WITH_BURST = 0.12
@@ -192,6 +196,13 @@ def _bursts(residual: Floats, problem: Problem, scale_group: Integers) -> list[_
             values[np.isin(rows, burst.rows)] -= burst.height
             values -= np.mean(values)
     odd = {burst.run for burst in found if not burst.ordinary}
+    # One step near the end of one run may be a burst; the same in two runs, or one that is far too large, is none.
+    late = [burst for burst in found if burst.rows[-1] == runs[burst.run][-1] and burst.rows.size > LONGEST_AT_END]
+    at_end = {burst.run for burst in late}
+    large = {burst.run for burst in late if abs(burst.height) > LARGEST_AT_END * variance[burst.rows[0]] ** 0.5}
+    odd |= large
+    if len(at_end) > 1:
+        odd |= at_end
     found = [burst for burst in found if burst.run not in odd]
     few = max(1, round(RUNS_WITH_BURST * len(runs)))
     return found if len({burst.run for burst in found} | odd) <= few else []

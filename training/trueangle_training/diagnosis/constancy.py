@@ -70,9 +70,9 @@ class _RunPattern:
 
 
 def constancy_tests(problem: Problem) -> tuple[ConstancyTest, ...]:
-    """All tests that the plan allows, smallest p first; none below six runs."""
+    """All tests that the plan allows, smallest p first; none below six runs or without a parameter."""
     runs, temperature_c = temperature_of_runs(problem)
-    if runs.size < FEWEST_RUNS:
+    if runs.size < FEWEST_RUNS or problem.modelled.shape[1] == 0:
         return ()
     unit = np.searchsorted(runs, problem.conditions.run).astype(np.int64)
     conditions = _run_conditions(problem, unit, temperature_c)

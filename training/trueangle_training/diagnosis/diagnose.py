@@ -27,12 +27,14 @@ from trueangle_training.diagnosis.findings import (
     Estimate,
     Findings,
     Gap,
+    Place,
     PlanSight,
     Unexplained,
     conclusion_of,
 )
+from trueangle_training.diagnosis.generic import ODD_RUN_FAMILY
 from trueangle_training.diagnosis.joint_update import FoundShape, JointUpdate, growth_settings, joint_update
-from trueangle_training.diagnosis.location import FoundPart, where
+from trueangle_training.diagnosis.location import CellFit, FoundPart, where
 from trueangle_training.diagnosis.next_measurement import next_measurement
 from trueangle_training.diagnosis.plan_sight import plan_sight, subject_of
 from trueangle_training.diagnosis.problem import Problem, problem_of
@@ -172,6 +174,7 @@ def _with_physics(prepared: Prepared, checks: DataChecks, progress: Callable[[in
     progress(3)
     rng = np.random.default_rng(SEED)
     places = where(cleaned, floor_arcsec2=floor_arcsec2, rng=rng, found=_found_parts(problem, attribution))
+    places = _with_scatter(places, answer)
     progress(4)
     named = tuple(cause.effect for cause in answer.named)
     closure = closure_of(cleaned, attribution, named=named, shares=shares, rng=rng)
@@ -252,9 +255,34 @@ def _gap(shares: Shares | None, closure: Closure) -> Gap:
 def _found_parts(problem: Problem, attribution: Attribution) -> tuple[FoundPart, ...]:
     shapes = [(problem.hypotheses[member.hypothesis_index], member) for member in attribution.members]
     return tuple(
-        FoundPart(cell=shape.cell, simple=shape.main.shape[1] <= SIMPLE_COLUMNS, curve_arcsec=member.curve_arcsec)
+        FoundPart(cell=shape.cell, fit=_cell_fit(shape), curve_arcsec=member.curve_arcsec)
         for shape, member in shapes
     )
+
+
+def _cell_fit(shape: Hypothesis) -> CellFit:
+    if shape.main.shape[1] <= SIMPLE_COLUMNS:
+        return CellFit.WHOLE
+    if shape.family == ODD_RUN_FAMILY or shape.cell.frame == "polygon":
+        return CellFit.ANY_ORDER
+    # Own draws of one order in each run have many columns and yet one place.
+    return CellFit.WHOLE if shape.nature is Nature.RANDOM else CellFit.HINT
+
+
+def _with_scatter(places: tuple[Place, ...], answer: which.Verdict) -> tuple[Place, ...]:
+    """Where nothing but scatter was found, its cells come first and have all of it."""
+    if not answer.named or any(cause.nature is not Nature.VARIANCE for cause in answer.causes):
+        return places
+    cells = {cell for cause in answer.named for cell in EFFECTS[cause.effect].cells}
+    there = [place for place in places if place.cell in cells]
+    significant = [place for place in there if place.significant]
+    chosen = (significant or there or [_place_of(answer.named[0].effect)])[:1]
+    first = replace(chosen[0], share=1.0, significant=True)
+    return (first, *(place for place in places if place.cell != first.cell))
+
+
+def _place_of(effect: str) -> Place:
+    return Place(cell=EFFECTS[effect].cells[0], share=1.0, p_value=None, significant=True, runs_needed=None)
 
 
 def _shapes(problem: Problem, attribution: Attribution, cause: which.Cause) -> list[Hypothesis]:

@@ -27,6 +27,7 @@ FEW_RUNS = 25
 """Up to this many runs the finer grids of patterns with a draw in each run are searched."""
 PERIODS_IN_CAMPAIGN = (2.0, 3.0, 4.5, 7.0, 10.0, 15.0)
 PERIODS_IN_RUN = (0.7, 1.0, 1.5, 2.3, 3.5, 5.3)
+ODD_RUN_FAMILY = "one odd run"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -248,7 +249,7 @@ def _drawn_by_run(axes: Axes) -> Iterator[Hypothesis]:
                 f"run {run} unlike the others, orders to {highest}",
                 Cell(order="1", time="between_runs"),
                 columns,
-                family="one odd run",
+                family=ODD_RUN_FAMILY,
                 nature=Nature.EVENT,
             )
     for order in (1, 2, 3):

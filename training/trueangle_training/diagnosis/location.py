@@ -11,6 +11,7 @@ each explains.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,9 +43,21 @@ FEWEST_BLOCKS = 12
 MEMORY_OF_BLOCKS = 3.0
 """A block is this many times as long as the noise remembers."""
 SHORTEST_BLOCK = 3
+HIGHEST_LOOKED_UP = 11
 MOST_PICKS = 6
 LEAST_SHARE = 0.01
 NEARLY_AS_MUCH = 0.9
+
+
+class CellFit(Enum):
+    """How much the cell says of the shape."""
+
+    WHOLE = "whole"
+    """All: one order, one condition."""
+    ANY_ORDER = "any order"
+    """All but the order: the curve's orders are looked up run by run."""
+    HINT = "hint"
+    """Little: the lattice tells where the curve lies."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -52,8 +65,7 @@ class FoundPart:
     """A shape that the attribution found."""
 
     cell: Cell
-    simple: bool
-    """The cell says all about the shape: one order, one condition."""
+    fit: CellFit
     curve_arcsec: Floats
     """[readings]"""
 
@@ -94,7 +106,14 @@ def where(
         if found or (p_value is not None and p_value <= LEVEL)
     ]
     shares = (
-        cell_shares(residual, tested_blocks(shown), span, floor_arcsec2=floor_arcsec2, found=found)
+        cell_shares(
+            residual,
+            tested_blocks(shown),
+            span,
+            floor_arcsec2=floor_arcsec2,
+            found=found,
+            orders=[order_shares(part, problem.conditions.angle_deg, unit) for part in found],
+        )
         if shown
         else {}
     )
@@ -227,8 +246,12 @@ def cell_shares(
     *,
     floor_arcsec2: float,
     found: Sequence[FoundPart],
+    orders: Sequence[dict[Cell, float]],
 ) -> dict[Cell, float]:
-    """Share of the structural part in each cell; cells that are not listed have none."""
+    """Share of the structural part in each cell; cells that are not listed have none.
+
+    `orders`: of each found part what `order_shares` says.
+    """
     target, noise = residual, floor_arcsec2
     energy: dict[Cell, float] = {}
     if found:
@@ -237,18 +260,33 @@ def cell_shares(
         whole = float(target @ target)
         order = np.argsort([-float(curve @ curve) for curve in curves])
         for i in order:
-            if not found[i].simple:
+            if found[i].fit is CellFit.HINT:
                 continue
             curve = curves[i]
             length = float(curve @ curve)
             gain = float(curve @ target) ** 2 / max(length, 1e-300)
             if gain > LEAST_SHARE * whole:
-                energy[found[i].cell] = energy.get(found[i].cell, 0.0) + gain
+                parts = orders[i] if found[i].fit is CellFit.ANY_ORDER else {found[i].cell: 1.0}
+                for cell, part in parts.items():
+                    energy[cell] = energy.get(cell, 0.0) + part * gain
                 target = target - curve * (float(curve @ target) / length)
     total = float(target @ target) + sum(energy.values())
     _pick(target, blocks, noise, energy, least=LEAST_SHARE * total)
     kept = sum(energy.values())
     return {cell: value / kept for cell, value in energy.items()} if kept > 0.0 else {}
+
+
+def order_shares(part: FoundPart, angle_deg: Floats, unit: Integers) -> dict[Cell, float]:
+    """The part's cell at each order 1 to 11, with the share of the curve's energy there, run by run; sums to 1."""
+    runs = int(unit.max()) + 1
+    energy: dict[Cell, float] = {}
+    for order in range(1, HIGHEST_LOOKED_UP + 1):
+        turned = part.curve_arcsec * np.exp(-1j * np.radians(order * angle_deg))
+        sums = np.bincount(unit, weights=turned.real, minlength=runs) ** 2
+        sums += np.bincount(unit, weights=turned.imag, minlength=runs) ** 2
+        energy[replace(part.cell, order=str(order))] = float(np.sum(sums / np.bincount(unit, minlength=runs)))
+    whole = sum(energy.values())
+    return {cell: value / whole for cell, value in energy.items()} if whole > 0.0 else {part.cell: 1.0}
 
 
 def _pick(

@@ -30,6 +30,9 @@ DRAWN_PENALTY = 3.0
 """Beside the generic one: a draw in each run has dozens of columns that fit whatever a run does."""
 RANDOM_EFFECT_PENALTY = 3.0
 EVENT_PENALTY = 3.0
+NEAR_NATS = 3.0
+NEAR_SHARE = 0.05
+"""Of the evidence: within either of the two, a drawn effect is preferred to a drawn generic pattern."""
 LEAST_OVER_COLOUR = 4.0
 """Nats by which a pattern drawn in each run must do better than noise of another colour to be a candidate."""
 
@@ -123,8 +126,23 @@ def _best(
     family = int(np.argmax(by_family))
     if not np.isfinite(by_family[family]):
         return None
+    family = _preferred(evidence, families, by_family, family)
     block = int(np.argmax(np.where(families.of_block == family, log_evidence, -np.inf)))
     return Accepted(block=block, tau=float(found.tau[block])), float(by_family[family])
+
+
+def _preferred(evidence: Evidence, families: Families, by_family: Floats, best: int) -> int:
+    """Instead of a generic pattern drawn in each run an effect of the library that is drawn too, where it is near.
+
+    Over one turn a run the two have the same columns but for their spacing, and that decides nothing.
+    """
+    drawn = np.zeros(len(families.names), dtype=bool)
+    drawn[families.of_block[evidence.drawn]] = True
+    if not (families.generic[best] and drawn[best]):
+        return best
+    near = by_family[best] - max(NEAR_NATS, NEAR_SHARE * float(by_family[best]))
+    rivals = np.flatnonzero(drawn & ~families.generic & (by_family >= near))
+    return int(rivals[np.argmax(by_family[rivals])]) if rivals.size else best
 
 
 def _carries_enough(

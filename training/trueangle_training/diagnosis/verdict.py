@@ -30,6 +30,8 @@ GROWTH_BESIDE_OTHERS_P = 0.0005
 ABOVE_ROUNDING = 1.5
 BESIDE_ROUNDING = 0.5
 """Highest probability of a cause whose curve is no larger than that of a resolution found too coarse."""
+WIDE = 10
+"""Columns of a pattern."""
 WEAK_GENERIC = 20.0
 """Log evidence of a lone generic pattern up to which growing noise explains it as well."""
 
@@ -135,15 +137,19 @@ def _cause(problem: Problem, attribution: Attribution, design: Design, name: str
     own = next((c.log_evidence for c in rivals if c.effect == name), members[0].log_evidence)
     effect_class = _class(problem, design, name, carried, rivals, own)
     grounds = Grounds(
-        margin=own - _best_outside(problem, design, rivals, effect_class, curve),
+        margin=own
+        - _best_outside(problem, design, rivals, effect_class, curve, by_named_share=attribution.by_named_share),
         log_evidence=own,
         left=attribution.left_to_generic,
         by_named_share=attribution.by_named_share,
     )
     whole = class_probability(grounds)
+    probability = whole * _within_class(name, effect_class, rivals)
+    if _may_be_a_sum(problem, design, members):
+        probability = min(probability, ONE_OF_A_CLASS)
     return Cause(
         effect=name,
-        probability=whole * _within_class(name, effect_class, rivals),
+        probability=probability,
         effect_class=effect_class,
         class_probability=whole,
         nature=problem.library[name].nature,
@@ -180,6 +186,8 @@ def _best_outside(
     rivals: Sequence[Candidate],
     effect_class: Sequence[str],
     curve: Floats,
+    *,
+    by_named_share: bool,
 ) -> float:
     """Log evidence of the best rival that is another answer.
 
@@ -187,6 +195,9 @@ def _best_outside(
     """
     for rival in rivals:
         if rival.effect in effect_class:
+            continue
+        if by_named_share and problem.hypotheses[rival.hypothesis_index].effect is None:
+            # Set aside, as it explains hardly more than the names do.
             continue
         if rival.effect is None and np.isfinite(rival.log_evidence):
             columns = problem.hypotheses[rival.hypothesis_index].main
@@ -203,7 +214,17 @@ def _within_class(name: str, effect_class: Sequence[str], rivals: Sequence[Candi
     evidence = {c.effect: c.log_evidence for c in rivals if c.effect in effect_class}
     values = np.array([evidence.get(each, -np.inf) for each in effect_class])
     share = np.exp(values - values.max())
-    return min(float(share[0] / share.sum()), ONE_OF_A_CLASS)
+    # The evidence prefers the simpler pattern; the plan cannot tell whether nature did.
+    by_evidence, by_number = float(share[0] / share.sum()), 1.0 / len(effect_class)
+    return min(0.5 * (by_evidence + by_number), ONE_OF_A_CLASS)
+
+
+def _may_be_a_sum(problem: Problem, design: Design, members: Sequence[Member]) -> bool:
+    """A pattern wide enough for other effects to be contained in it may be two of them at once."""
+    name = members[0].effect
+    widest = max(problem.hypotheses[member.hypothesis_index].main.shape[1] for member in members)
+    contained = [other for other, carriers in design.carries.items() if carriers.get(name or "", 0.0) >= CARRIED]
+    return widest >= WIDE and len(contained) > 1
 
 
 def _growth(problem: Problem, attribution: Attribution) -> Cause | None:
