@@ -5,7 +5,6 @@ noise at first, or noise for an effect, is seen for what it is.
 """
 
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,8 +82,6 @@ class Attribution:
     """Of each member, all families given the other members, best first."""
     by_named_share: bool
     """The library alone explains so much that generic patterns were set aside."""
-    draws_set_aside: bool
-    """So were effects drawn anew in each run."""
     left_to_generic: float
     """Share that the best generic pattern would take beside the members."""
     residual_energy: float
@@ -119,12 +116,12 @@ def attribute(problem: Problem) -> Attribution:
     """Explain the errors of a problem."""
     state = _State.of(problem)
     evidence, families, noise, cleaned = state.weighed(problem, None)
-    selection, way = _chosen(problem, evidence, families)
+    selection, by_share = _chosen(problem, evidence, families)
     if selection.accepted:
         mean = np.sum(_curves(problem, evidence, selection), axis=0)
         evidence, families, noise, cleaned = state.weighed(problem, mean)
-        selection, way = _chosen(problem, evidence, families)
-    return _attribution(problem, evidence, families, selection, noise, cleaned, way)
+        selection, by_share = _chosen(problem, evidence, families)
+    return _attribution(problem, evidence, families, selection, noise, cleaned, by_share)
 
 
 def weighed_evidence(problem: Problem) -> tuple[Evidence, Families, NoiseModel]:
@@ -188,16 +185,8 @@ def _curves(problem: Problem, evidence: Evidence, selection: Selection) -> list[
     return curves
 
 
-class _Way(Enum):
-    """How a selection came about."""
-
-    BY_EVIDENCE = "by evidence"
-    WITHOUT_GENERIC = "generic patterns set aside"
-    WITHOUT_DRAWS = "effects drawn in each run set aside"
-
-
-def _chosen(problem: Problem, evidence: Evidence, families: Families) -> tuple[Selection, _Way]:
-    """The selection, and whether wide patterns that do better were set aside.
+def _chosen(problem: Problem, evidence: Evidence, families: Families) -> tuple[Selection, bool]:
+    """The selection, and whether it is of the library alone although other patterns do better.
 
     A wide pattern beats an effect with several events or a slightly bent shape, be it generic or drawn anew in
     each run; where two names with a curve of their own explain nearly all, the names are the answer.
@@ -206,18 +195,17 @@ def _chosen(problem: Problem, evidence: Evidence, families: Families) -> tuple[S
     everything = np.ones(evidence.hypothesis.size, dtype=bool)
     selection = select(evidence, families, everything)
     drawn = any(evidence.drawn[each.block] for each in selection.accepted)
-    generic = _generic_share(families, selection) > NAMED_IN_SPITE_OF_GENERIC
-    if not generic and not drawn:
-        return selection, _Way.BY_EVIDENCE
+    if _generic_share(families, selection) <= NAMED_IN_SPITE_OF_GENERIC and not drawn:
+        return selection, False
     wide = families.generic[families.of_block] | evidence.drawn
     named = select(evidence, families, ~wide)
     effects = {problem.hypotheses[evidence.hypothesis[each.block]].effect for each in named.accepted}
     few = 0 < len(effects) <= MOST_NAMES_WITHOUT_GENERIC
     if few and _left_to(evidence, families, named, wide) < LEFT_TO_GENERIC:
-        return named, _Way.WITHOUT_GENERIC if generic else _Way.WITHOUT_DRAWS
+        return named, True
     if any(_is_orderly(problem, evidence, selection, each) for each in selection.accepted):
-        return select(evidence, families, ~evidence.drawn), _Way.WITHOUT_DRAWS
-    return selection, _Way.BY_EVIDENCE
+        return select(evidence, families, ~evidence.drawn), False
+    return selection, False
 
 
 def _is_orderly(problem: Problem, evidence: Evidence, selection: Selection, member: Accepted) -> bool:
@@ -259,7 +247,7 @@ def _attribution(
     selection: Selection,
     noise: NoiseModel,
     cleaned: Cleaned,
-    way: _Way,
+    by_share: bool,
 ) -> Attribution:
     found = fit(evidence, selection.accepted)
     members: list[Member] = []
@@ -298,8 +286,7 @@ def _attribution(
         outlier_rows=np.flatnonzero(cleaned.replaced),
         candidates=rivals[0] if rivals else _candidates(problem, evidence, families, []),
         rivals=rivals,
-        by_named_share=way is _Way.WITHOUT_GENERIC,
-        draws_set_aside=way is not _Way.BY_EVIDENCE,
+        by_named_share=by_share,
         left_to_generic=(
             _left_to(evidence, families, selection, families.generic[families.of_block])
             if selection.accepted

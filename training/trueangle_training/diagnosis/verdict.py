@@ -25,8 +25,6 @@ ONE_OF_A_CLASS = 0.89
 """Highest probability of one name among several that the plan cannot tell apart."""
 IMITATES_WITHIN = 3.0
 """A pattern drawn in each run can imitate any order 1: it is of the class only where it is as likely, in nats."""
-GROWTH_BESIDE_OTHERS = 0.8
-"""Highest probability of growing noise beside a found curve."""
 GROWTH_BESIDE_OTHERS_P = 0.0005
 """What a found curve leaves over looks like noise that goes with its condition."""
 ABOVE_ROUNDING = 1.5
@@ -139,7 +137,8 @@ def _cause(problem: Problem, attribution: Attribution, design: Design, name: str
     own = next((c.log_evidence for c in rivals if c.effect == name), members[0].log_evidence)
     effect_class = _class(problem, design, name, carried, rivals, own)
     grounds = Grounds(
-        margin=own - _best_outside(problem, design, rivals, effect_class, curve, attribution),
+        margin=own
+        - _best_outside(problem, design, rivals, effect_class, curve, by_named_share=attribution.by_named_share),
         log_evidence=own,
         left=attribution.left_to_generic,
         by_named_share=attribution.by_named_share,
@@ -187,7 +186,8 @@ def _best_outside(
     rivals: Sequence[Candidate],
     effect_class: Sequence[str],
     curve: Floats,
-    attribution: Attribution,
+    *,
+    by_named_share: bool,
 ) -> float:
     """Log evidence of the best rival that is another answer.
 
@@ -196,10 +196,7 @@ def _best_outside(
     for rival in rivals:
         if rival.effect in effect_class:
             continue
-        shape = problem.hypotheses[rival.hypothesis_index]
-        if (shape.effect is None and attribution.by_named_share) or (
-            shape.nature is Nature.RANDOM and attribution.draws_set_aside
-        ):
+        if by_named_share and problem.hypotheses[rival.hypothesis_index].effect is None:
             # Set aside, as it explains hardly more than the names do.
             continue
         if rival.effect is None and np.isfinite(rival.log_evidence):
@@ -241,9 +238,6 @@ def _growth(problem: Problem, attribution: Attribution) -> Cause | None:
         return None
     # Two or three conditions were tried; a ratio near 1.15 is at the edge of what exchanging runs can tell.
     probability = float(np.clip(1.0 - 40.0 * best.p_value, 0.5, 0.97))
-    if attribution.members:
-        # What a shape that is a little off leaves over is larger where the effect is.
-        probability = min(probability, GROWTH_BESIDE_OTHERS)
     grounds = Grounds(
         margin=-float(np.log(best.p_value)),
         log_evidence=-float(np.log(best.p_value)),
