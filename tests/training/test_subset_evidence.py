@@ -127,14 +127,18 @@ def test_members_in_parts_give_what_they_give_together(linear: LinearFit) -> Non
     assert fitness(likelihood, hidden, genes) == pytest.approx(singly, rel=1e-10)
 
 
-@pytest.mark.parametrize("blocks", [1, 4])
-def test_one_bordered_factor_gives_determinant_and_quadratic_form(blocks: int) -> None:
-    # One matrix for all four harmonics, as on complete campaigns, and one each.
-    rng = np.random.default_rng(6)
-    root = rng.normal(size=(blocks, 5, 6, 6)) * 10.0
-    inner = np.eye(6) + root @ root.swapaxes(-1, -2)
-    vector = rng.normal(size=(4, 5, 6)) * 300.0
-    each = np.broadcast_to(inner, (4, 5, 6, 6))
-    quadratic = np.einsum("ngi,ngi->ng", vector, np.linalg.solve(each, vector[..., None])[..., 0])
-    expected = (quadratic - np.linalg.slogdet(each)[1]) / 2.0
-    assert _log_likelihood(inner, vector) == pytest.approx(expected, rel=1e-9)
+def test_every_kernel_has_the_evidence_of_its_own_system(linear: LinearFit) -> None:
+    likelihood, grid = linear.mixture.likelihood, linear.mixture.grid
+    found = _log_likelihood(likelihood, grid)
+    orders, kernels = found.shape
+    assert (orders, kernels) == (likelihood.information.shape[0], grid.linear.size)
+    precision = np.broadcast_to(likelihood.precision, (orders, *likelihood.precision.shape[1:]))
+    for kernel in range(kernels):
+        prior = np.kron(np.eye(2), grid.contrasted[kernel])
+        for order in range(0, orders, 3):
+            # q' K (1 + P K)^-1 q / 2 - log|1 + P K| / 2, with no root taken and no line split off.
+            whole = np.eye(prior.shape[0]) + precision[order] @ prior
+            information = likelihood.information[order]
+            expected = information @ prior @ np.linalg.solve(whole, information) / 2.0
+            expected -= np.linalg.slogdet(whole)[1] / 2.0
+            assert found[order, kernel] == pytest.approx(expected, rel=1e-6, abs=1e-5)

@@ -24,8 +24,8 @@ from trueangle_training.diagnosis.recalibration import (
     run_folds,
 )
 from trueangle_training.methods import TrainingReadings, UnsuitableReadingsError
-from trueangle_training.methods.linear import fit_linear
-from trueangle_training.methods.separable import SeparableModel
+from trueangle_training.methods.coefficients import reduce_curves
+from trueangle_training.methods.linear import fit_without_uncertainty
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -92,11 +92,13 @@ def end_task(
         if not compensation.compensable:
             curves.pop("explained", None)
         predicted = {"none": np.zeros(size)}
-        for name, curve in curves.items():
-            try:
-                model = _trained(_training(problem, curve, ~fold.left_out))
-            except UnsuitableReadingsError as error:
-                return empty, (f"the end task was left out: {error.faults[0]}",)
+        readings = _training(problem, ~fold.left_out)
+        try:
+            reduced = reduce_curves(readings, np.column_stack(list(curves.values()))[~fold.left_out])
+        except UnsuitableReadingsError as error:
+            return empty, (f"the end task was left out: {error.faults[0]}",)
+        for name, data in zip(curves, reduced, strict=True):
+            model = fit_without_uncertainty(data, datum_deg=readings.datum_deg)
             predicted[name] = model.error_arcsec(problem.conditions.angle_deg, _temperature(problem))
         for name, values in predicted.items():
             left, allowed, _ = one_fold(problem.error_arcsec - values, np.zeros((size, 0)), offset, fold.left_out)
@@ -123,19 +125,6 @@ def _training_curves(problem: Problem, inside: Mask, found: Floats | None, noise
     return curves
 
 
-def _trained(readings: TrainingReadings) -> SeparableModel:
-    """The method `linear` without its uncertainty, which costs as much again and is not asked for here."""
-    fitted = fit_linear(readings)
-    posterior = fitted.posterior
-    return SeparableModel(
-        orders=fitted.data.orders,
-        basis=posterior.basis,
-        weights_arcsec=posterior.weights_arcsec,
-        datum_deg=readings.datum_deg,
-        spreads=(),
-    )
-
-
 def _recalibrated(problem: Problem, inside: Mask, found: Floats | float) -> Floats:
     """[readings]: the modelled effects, calibrated on the training runs beside what was found."""
     columns = recalibration_columns(problem)
@@ -150,12 +139,12 @@ def _temperature(problem: Problem) -> Floats:
     return np.full(len(problem.conditions), ANY_TEMPERATURE_C) if temperature is None else temperature
 
 
-def _training(problem: Problem, curve: Floats, inside: Mask) -> TrainingReadings:
-    """Readings of the training runs with another error."""
+def _training(problem: Problem, inside: Mask) -> TrainingReadings:
+    """Readings of the training runs."""
     at = problem.conditions
     return TrainingReadings(
         angle_deg=at.angle_deg[inside],
-        error_arcsec=curve[inside],
+        error_arcsec=problem.error_arcsec[inside],
         temperature_c=_temperature(problem)[inside],
         run=at.run[inside],
         zero_group=at.zero_group[inside],

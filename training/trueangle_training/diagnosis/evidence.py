@@ -105,6 +105,8 @@ class Evidence:
     """[blocks, width, width] of each group."""
     products: dict[int, Floats] = field(default_factory=dict[int, Floats])
     """Of a block that was accepted once: [its columns, all columns] of products after projection."""
+    scored: dict[tuple[Accepted, ...], Scores] = field(default_factory=dict["tuple[Accepted, ...]", Scores])
+    """Beside what was accepted: asked again when a member is weighed, pruned or compared with its rivals."""
 
     def column_range(self, block: int) -> Integers:
         """Columns of one block."""
@@ -213,6 +215,12 @@ def _grams(columns: NDArray[np.floating], inside: NDArray[np.floating], index: I
 
 def scores(evidence: Evidence, accepted: Sequence[Accepted]) -> Scores:
     """Log evidence of each block beside the accepted ones."""
+    if tuple(accepted) not in evidence.scored:
+        evidence.scored[tuple(accepted)] = _scores(evidence, accepted)
+    return evidence.scored[tuple(accepted)]
+
+
+def _scores(evidence: Evidence, accepted: Sequence[Accepted]) -> Scores:
     count = evidence.hypothesis.size
     log_evidence = np.full(count, -np.inf)
     likeliest = np.full(count, TAUS[0])
@@ -261,12 +269,13 @@ def _log_bayes_factors(gram: Floats, score: Floats, mains: Integers) -> tuple[Fl
     tau2 = (TAUS**2)[:, None, None]
     shrunk = 1.0 + tau2 * values
     log_bf = np.sum(-0.5 * np.log(shrunk) + 0.5 * tau2 * g**2 / shrunk, axis=2)
-    coefficient = np.einsum("hij,thj->thi", vectors, tau2 * g / shrunk) ** 2
     main = np.arange(gram.shape[1])[None, :] < mains[:, None]
-    main_square = np.sum(coefficient * main, axis=2) / mains
-    wiggles = np.maximum(gram.shape[1] - mains, 1)
-    wiggle_square = np.sum(coefficient * ~main, axis=2) / wiggles
-    log_bf = np.where(wiggle_square > LARGEST_WIGGLE * main_square, -np.inf, log_bf)
+    if not main.all():
+        coefficient = (vectors @ (tau2 * g / shrunk).transpose(1, 2, 0)).transpose(2, 0, 1) ** 2
+        main_square = np.sum(coefficient * main, axis=2) / mains
+        wiggles = np.maximum(gram.shape[1] - mains, 1)
+        wiggle_square = np.sum(coefficient * ~main, axis=2) / wiggles
+        log_bf = np.where(wiggle_square > LARGEST_WIGGLE * main_square, -np.inf, log_bf)
     best = np.argmax(log_bf, axis=0)
     top = log_bf[best, np.arange(best.size)]
     safe = np.where(np.isfinite(top), top, 0.0)

@@ -87,7 +87,7 @@ def found_without(rivals: Competition, out: Mask) -> tuple[FoundShape, ...]:
         cut = problem.rows(inside)
         transformed = noise.transform.of_stacked(stacked_columns(cut))
     else:
-        transformed = np.ascontiguousarray(rivals.transformed[:, inside])
+        transformed = np.compress(inside, rivals.transformed, axis=1)
     evidence = evidence_of(part, noise, part.error_arcsec, transformed)
     if evidence.hypothesis.size == 0:
         return ()

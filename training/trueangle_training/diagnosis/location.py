@@ -21,7 +21,7 @@ from trueangle_training.diagnosis.lattice import LatticeBlock, lattice
 from trueangle_training.diagnosis.problem import Problem
 from trueangle_training.diagnosis.recalibration import Projector, recalibration_span
 from trueangle_training.diagnosis.scatter_map import scatter_places
-from trueangle_training.diagnosis.sign_flips import Block, carrying_units, flip_test, visible_block
+from trueangle_training.diagnosis.sign_flips import Block, carrying_units, flip_test, visible_blocks
 from trueangle_training.effects.cells import Cell
 
 Floats = NDArray[np.float64]
@@ -92,8 +92,9 @@ def where(
     residual = span.outside(problem.error_arcsec)
     unit = np.unique(problem.conditions.run, return_inverse=True)[1].astype(np.int64)
     tested: list[_Tested] = []
-    for each in lattice(problem):
-        block = visible_block(each.columns, span, least_visible=LEAST_VISIBLE)
+    cells = lattice(problem)
+    blocks = visible_blocks([each.columns for each in cells], span, least_visible=LEAST_VISIBLE)
+    for each, block in zip(cells, blocks, strict=True):
         if block is not None:
             tested.append(_Tested(lattice=each, block=block, runs=carrying_units(block, unit)))
     if not tested:

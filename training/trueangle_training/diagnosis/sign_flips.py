@@ -10,6 +10,7 @@ doi:10.1111/rssb.12369; De Santis et al. 2022, arXiv:2209.13918). The largest T 
 family-wise p-value (Westfall and Young 1993).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,7 +48,17 @@ class FlipTest:
 
 def visible_block(columns: Floats, span: Projector, *, least_visible: float) -> Block | None:
     """The block outside the span; None where less than `least_visible` of it is."""
-    outside = span.outside(columns)
+    return visible_blocks([columns], span, least_visible=least_visible)[0]
+
+
+def visible_blocks(shapes: Sequence[Floats], span: Projector, *, least_visible: float) -> list[Block | None]:
+    """`visible_block` of many shapes [readings, columns], projected together."""
+    ends = np.cumsum([columns.shape[1] for columns in shapes])[:-1]
+    outside = np.split(span.outside(np.concatenate(shapes, axis=1)), ends, axis=1)
+    return [_block(*each, least_visible) for each in zip(shapes, outside, strict=True)]
+
+
+def _block(columns: Floats, outside: Floats, least_visible: float) -> Block | None:
     whole = float(np.sum(columns**2))
     visible = float(np.sum(outside**2)) / whole if whole > 0.0 else 0.0
     if visible < least_visible:
@@ -100,14 +111,14 @@ def _left_of_flips(
 ) -> Floats:
     """[flips, columns]: d(f), what the span leaves of each flipped column of length 1."""
     taken = np.zeros((signs.shape[0], columns.shape[1]))
-    for direction in span.basis.T:
-        by_unit = np.add.reduceat((columns * direction[:, None])[order], first, axis=0)
-        taken += (signs @ by_unit) ** 2
+    by_unit = np.stack([span.basis[rows].T @ columns[rows] for rows in np.split(order, first[1:])])
+    for of_direction in by_unit.transpose(1, 0, 2):
+        taken += (signs @ of_direction) ** 2
     for rows in _shared_groups(span.index, unit):
         inside = columns[rows] / np.sqrt(rows.size)
-        by_unit = np.zeros((signs.shape[1], columns.shape[1]))
-        np.add.at(by_unit, unit[rows], inside)
-        taken += (signs @ by_unit) ** 2
+        inside_unit = np.zeros((signs.shape[1], columns.shape[1]))
+        np.add.at(inside_unit, unit[rows], inside)
+        taken += (signs @ inside_unit) ** 2
     return np.maximum(1.0 - taken, LEAST_LEFT_OF_A_FLIP)
 
 

@@ -5,6 +5,7 @@ first-order autoregression; Ahmed, Natarajan and Rao 1974), so that the colour c
 transforming the designs anew.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,41 +30,37 @@ class RunTransform:
     """[rows]: j of the cosine that a transformed row belongs to; 0 is the run's mean."""
     frequency_hz: Floats
     """[rows]: j / (2 duration); 1 reading = 1 s where no time is known."""
+    bases: Mapping[int, Floats]
+    """The cosines of every length of run that is short enough for a matrix: [length, length]."""
 
     def __call__(self, values: Floats) -> Floats:
         """Transform the columns of [rows] or [rows, columns]."""
         matrix = values[:, None] if values.ndim == 1 else values
         out = np.empty_like(matrix)
-        bases = self._bases()
         for rows in self.rows:
-            n = rows.size
-            out[rows] = bases[n].astype(matrix.dtype) @ matrix[rows] if n in bases else _dct(matrix[rows])
+            basis = self.bases.get(rows.size)
+            out[rows] = _dct(matrix[rows]) if basis is None else basis.astype(matrix.dtype) @ matrix[rows]
         return out[:, 0] if values.ndim == 1 else out
 
     def of_stacked(self, columns: NDArray[np.floating]) -> NDArray[np.floating]:
         """Transform [columns, rows] along the rows."""
         out = np.empty_like(columns)
-        bases = self._bases()
         for rows in self.rows:
-            n = rows.size
-            straight = bool(rows[-1] - rows[0] + 1 == n and np.all(np.diff(rows) == 1))
+            straight = bool(rows[-1] - rows[0] + 1 == rows.size and np.all(np.diff(rows) == 1))
             where: slice | Integers = slice(int(rows[0]), int(rows[-1]) + 1) if straight else rows
-            if n in bases:
-                out[:, where] = columns[:, where] @ bases[n].T.astype(columns.dtype)
-            else:
+            basis = self.bases.get(rows.size)
+            if basis is None:
                 out[:, where] = _dct(np.ascontiguousarray(columns[:, where].T)).T
+            else:
+                out[:, where] = columns[:, where] @ basis.T.astype(columns.dtype)
         return out
-
-    def _bases(self) -> dict[int, Floats]:
-        """The cosines of every length of run that is short enough for a matrix."""
-        return {n: _matrix(n) for n in {rows.size for rows in self.rows} if n <= LONGEST_BY_MATRIX}
 
     def inverse(self, values: Floats) -> Floats:
         """Back to readings; [rows]."""
         out = np.empty_like(values)
         for rows in self.rows:
-            n = rows.size
-            out[rows] = _matrix(n).T @ values[rows] if n <= LONGEST_BY_MATRIX else _inverse_dct(values[rows])
+            basis = self.bases.get(rows.size)
+            out[rows] = _inverse_dct(values[rows]) if basis is None else basis.T @ values[rows]
         return out
 
 
@@ -86,7 +83,14 @@ def run_transform(run: Integers, time_s: Floats | None) -> RunTransform:
         index[here] = place
         cycles[here] = np.arange(n)
         frequency[here] = np.arange(n) / (2.0 * duration)
-    return RunTransform(rows=tuple(rows), run_index=index, half_cycles=cycles, frequency_hz=frequency)
+    lengths = {rows_of_run.size for rows_of_run in rows}
+    return RunTransform(
+        rows=tuple(rows),
+        run_index=index,
+        half_cycles=cycles,
+        frequency_hz=frequency,
+        bases={n: _matrix(n) for n in lengths if n <= LONGEST_BY_MATRIX},
+    )
 
 
 def _matrix(n: int) -> Floats:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import get_lapack_funcs
 
 from trueangle.contract.errors import Fault
 from trueangle.contract.units import angle_difference_deg, wrap_deg
@@ -90,7 +91,7 @@ class JointLikelihood:
         inner = np.einsum("aik,aimj->akmj", factor, weighted, optimize=True).reshape(orders * size, -1)
         prior = np.ones((orders, size))
         prior[:, :2] = 0.0
-        covariance = np.linalg.inv(inner + np.diag(prior.ravel()))
+        covariance = _inverse(inner + np.diag(prior.ravel()))
         mean = covariance @ np.einsum("aik,ai->ak", factor, self.information).ravel()
         return covariance.reshape(orders, size, orders, size), mean.reshape(orders, size)
 
@@ -129,15 +130,31 @@ class CoefficientReadings:
         return replace(self, joint=joint, decoupled=decoupled)
 
 
+def _inverse(matrix: Floats) -> Floats:
+    """Of a symmetric positive definite matrix, by Cholesky: half the work of the general inverse."""
+    potrf, potri = get_lapack_funcs(("potrf", "potri"), (matrix,))
+    factor, fault = potrf(matrix)
+    if fault:
+        # Rounding has taken the definiteness of a matrix that is nearly singular.
+        return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+    upper, _ = potri(factor)
+    return np.asarray(np.triu(upper) + np.triu(upper, 1).T)
+
+
 def reduce_to_coefficients(readings: TrainingReadings) -> CoefficientReadings:
     """Complete regular campaigns by the transform, all others by the general linear model.
 
     UnsuitableReadingsError lists what is missing: angles, temperatures, or repeats to know the noise from.
     """
+    return reduce_curves(readings, readings.error_arcsec[:, None])[0]
+
+
+def reduce_curves(readings: TrainingReadings, curves_arcsec: Floats) -> tuple[CoefficientReadings, ...]:
+    """Several errors [n, curves] at the places of `readings`, whose own are not looked at; laid out once."""
     regular = regular_faces(readings)
-    if regular is not None:
-        return reduce_regular(readings, regular)
-    return reduce_general(readings)
+    if regular is None:
+        return _reduce_general(readings, curves_arcsec)
+    return tuple(reduce_regular(replace(readings, error_arcsec=curve), regular) for curve in curves_arcsec.T)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -249,6 +266,10 @@ def _leaner_shapes(columns: int) -> Iterator[tuple[int, int, int]]:
 
 def reduce_general(readings: TrainingReadings) -> CoefficientReadings:
     """The normal equations of coefficients at nodes, one free offset a zero group taken out by centring."""
+    return _reduce_general(readings, readings.error_arcsec[:, None])[0]
+
+
+def _reduce_general(readings: TrainingReadings, curves_arcsec: Floats) -> tuple[CoefficientReadings, ...]:
     _check_angles(readings)
     group = readings.offset_group
     orders = _determined_orders(readings)
@@ -258,34 +279,36 @@ def reduce_general(readings: TrainingReadings) -> CoefficientReadings:
     interpolation = spline_interpolation(nodes_c, readings.temperature_c)
     design = (by_angle[:, :, None] * interpolation[:, None, :]).reshape(len(readings), -1)
     design = centred(design, group)
-    error = centred(readings.error_arcsec[:, None], group)[:, 0]
-    sigma_arcsec, freedoms = _residual_noise(readings, by_angle, design, error, group)
+    errors = centred(curves_arcsec, group)
+    sigmas_arcsec, freedoms = _residual_noise(readings, by_angle, design, errors, group)
     size = 2 * nodes_c.size
-    return CoefficientReadings(
-        orders=orders,
-        nodes_c=nodes_c,
-        sigma_arcsec=sigma_arcsec,
-        sigma_freedoms=freedoms,
-        decoupled=None,
-        joint=JointLikelihood(
-            precision=(design.T @ design / sigma_arcsec**2).reshape(len(orders), size, len(orders), size),
-            information=(design.T @ error / sigma_arcsec**2).reshape(len(orders), size),
-        ),
+    gram = (design.T @ design).reshape(len(orders), size, len(orders), size)
+    products = (design.T @ errors).T.reshape(-1, len(orders), size)
+    return tuple(
+        CoefficientReadings(
+            orders=orders,
+            nodes_c=nodes_c,
+            sigma_arcsec=sigma_arcsec,
+            sigma_freedoms=freedoms,
+            decoupled=None,
+            joint=JointLikelihood(precision=gram / sigma_arcsec**2, information=product / sigma_arcsec**2),
+        )
+        for sigma_arcsec, product in zip(sigmas_arcsec.tolist(), products, strict=True)
     )
 
 
 def _residual_noise(
-    readings: TrainingReadings, by_angle: Floats, design: Floats, error: Floats, group: Integers
-) -> tuple[float, int]:
-    """Sigma from what free values at all nodes leave; where that is too little, what leaner shapes leave."""
+    readings: TrainingReadings, by_angle: Floats, design: Floats, errors: Floats, group: Integers
+) -> tuple[Floats, int]:
+    """Sigma of each curve [n, curves] from what free values at all nodes leave, or else leaner shapes."""
     groups = int(group.max()) + 1
     freedoms = 0
     for matrix in _noise_designs(readings, by_angle, design, group):
-        solution, _, rank, _ = np.linalg.lstsq(matrix, error, rcond=1e-8)
-        freedoms = error.size - groups - int(rank)
+        solution, _, rank, _ = np.linalg.lstsq(matrix, errors, rcond=1e-8)
+        freedoms = len(errors) - groups - int(rank)
         if freedoms >= FEWEST_NOISE_FREEDOMS:
-            variance = float(np.sum((error - matrix @ solution) ** 2)) / freedoms
-            return max(float(np.sqrt(variance)), SMALLEST_NOISE_ARCSEC), freedoms
+            variance = np.sum((errors - matrix @ solution) ** 2, axis=0) / freedoms
+            return np.maximum(np.sqrt(variance), SMALLEST_NOISE_ARCSEC), freedoms
     raise UnsuitableReadingsError([_no_noise_fault(freedoms)])
 
 

@@ -126,29 +126,51 @@ def plan_settings(linear: LinearFit) -> dict[str, object]:
 
 def fit_linear(readings: TrainingReadings, data: CoefficientReadings | None = None) -> LinearFit:
     """Fit the mixture; `data` where the readings have been reduced already."""
-    data = reduce_to_coefficients(readings) if data is None else data
-    grid = KernelGrid.over(data.nodes_c)
+    weighed = _weighed_twice(reduce_to_coefficients(readings) if data is None else data)
+    data, mixture = weighed.data, weighed.mixture
     nodes_c = spread_nodes(data.nodes_c)
+    links = None if data.joint is None else _links(data.joint, mixture, nodes_c)
+    _, basis, weights = _mean_model(mixture)
+    covariance = _harmonic_covariances(mixture, nodes_c)
+    unseen = unseen_orders(readings, orders=data.orders, power_arcsec2=weighed.power_arcsec2)
+    return LinearFit(
+        readings=readings,
+        data=data,
+        likelihood=weighed.likelihood,
+        mixture=mixture,
+        posterior=HarmonicPosterior(basis=basis, weights_arcsec=weights, nodes_c=nodes_c, covariance=covariance),
+        links=links,
+        unseen=unseen,
+    )
+
+
+def fit_without_uncertainty(data: CoefficientReadings, *, datum_deg: float) -> SeparableModel:
+    """The model of `fit_linear` without its spread, which costs as much again."""
+    _, basis, weights = _mean_model(_weighed_twice(data).mixture)
+    return SeparableModel(orders=data.orders, basis=basis, weights_arcsec=weights, datum_deg=datum_deg, spreads=())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Weighed:
+    """Kernels weighed with the prior that the campaign itself gives the constants of high orders."""
+
+    data: CoefficientReadings
+    likelihood: CoefficientLikelihood
+    mixture: KernelMixture
+    power_arcsec2: Floats
+    """[orders]: squared amplitudes of the steady harmonics."""
+
+
+def _weighed_twice(data: CoefficientReadings) -> _Weighed:
+    grid = KernelGrid.over(data.nodes_c)
     likelihood, mixture = _weighed(data, grid, None)
     steady_arcsec, steady_variance = _steady(likelihood, mixture)
     prior_variance = steady_prior_variance(data.orders, steady_arcsec, steady_variance)
     if np.isfinite(prior_variance).any():
         data = data.with_steady_prior(prior_variance)
         likelihood, mixture = _weighed(data, grid, mixture)
-    links = None if data.joint is None else _links(data.joint, mixture, nodes_c)
-    _, basis, weights = _mean_model(mixture)
-    covariance = _harmonic_covariances(mixture, nodes_c)
     power = steady_power(steady_arcsec, steady_variance, prior_variance)
-    unseen = unseen_orders(readings, orders=data.orders, power_arcsec2=power)
-    return LinearFit(
-        readings=readings,
-        data=data,
-        likelihood=likelihood,
-        mixture=mixture,
-        posterior=HarmonicPosterior(basis=basis, weights_arcsec=weights, nodes_c=nodes_c, covariance=covariance),
-        links=links,
-        unseen=unseen,
-    )
+    return _Weighed(data=data, likelihood=likelihood, mixture=mixture, power_arcsec2=power)
 
 
 def _weighed(

@@ -168,17 +168,15 @@ class KernelMixture:
 def weigh_kernels(likelihood: CoefficientLikelihood, grid: KernelGrid) -> KernelMixture:
     """Exact posteriors under all kernels, weighed by evidence and by shares common to the harmonics."""
     contrasts = ContrastLikelihood.of(likelihood, grid.contrast)
-    roots = _for_both(grid.root)
-    inner = _inner(contrasts, roots)
-    projected = np.einsum("gik,ni->ngk", roots, contrasts.information)
-    weight, log_evidence = _shares(_log_likelihood(inner, projected), grid.choice)
+    weight, log_evidence = _shares(_log_likelihood(contrasts, grid), grid.choice)
     counted = weight.max(axis=0) > NEGLIGIBLE_WEIGHT
     weight = np.where(counted, weight, 0.0)
     weight /= weight.sum(axis=1, keepdims=True)
-    counts = np.flatnonzero(counted)
-    solved = np.linalg.solve(inner[:, counts], projected[:, counts, :, None])[..., 0]
-    mean = np.zeros_like(projected)
-    mean[:, counts] = np.einsum("gik,ngk->ngi", roots[counts], solved)
+    roots = _for_both(grid.root[counted])
+    projected = np.einsum("gik,ni->ngk", roots, contrasts.information)
+    solved = np.linalg.solve(_inner(contrasts, roots), projected[..., None])[..., 0]
+    mean = np.zeros((*weight.shape, contrasts.information.shape[1]))
+    mean[:, counted] = np.einsum("gik,ngk->ngi", roots, solved)
     return KernelMixture(grid=grid, likelihood=contrasts, weight=weight, mean=mean, log_evidence=log_evidence)
 
 
@@ -187,25 +185,40 @@ def _inner(likelihood: ContrastLikelihood, roots: Floats) -> Floats:
     return np.eye(roots.shape[1]) + roots.swapaxes(1, 2) @ likelihood.precision[:, None] @ roots
 
 
-def _log_likelihood(inner: Floats, projected: Floats) -> Floats:
-    """w'M⁻¹w / 2 - log|M| / 2 of M [orders or 1, kernels, k, k] and w [orders, kernels, k]: [orders, kernels].
+def _log_likelihood(likelihood: ContrastLikelihood, grid: KernelGrid) -> Floats:
+    """w'M⁻¹w / 2 - log|M| / 2 of M = 1 + R'PR and w = R'q of every kernel R R', [orders, kernels].
 
-    One Cholesky decomposition of M bordered by the vectors w gives both: the border of the factor is L⁻¹w.
+    One Cholesky decomposition of M bordered by the vectors w gives both: the border of the factor is L⁻¹w. Only
+    kernels without a straight line are decomposed. A line is one more vector u for either component: with V = R'Pu
+    beside w in the border, s = u'Pu - V'M⁻¹V and d = u'q - V'M⁻¹w are what the bells leave of it, and an amplitude
+    s₁ adds d'(s₁⁻² + s)⁻¹d / 2 - log|1 + s₁² s| / 2.
     """
+    lines = np.array(AMPLITUDES_ARCSEC) ** 2
+    roots = _for_both(grid.root[: grid.linear.size // lines.size])
+    line = np.kron(np.eye(2), (grid.contrast.T @ (grid.nodes_c / SCALE_C))[:, None])
+    inner = _inner(likelihood, roots)
     blocks, kernels, size, _ = inner.shape
-    vectors = projected.reshape(blocks, -1, kernels, size).swapaxes(1, 2)
-    count = vectors.shape[2]
-    bordered = np.zeros((blocks, kernels, size + count, size + count))
+    # Where one precision stands for all orders, all their vectors stand in one border.
+    information = likelihood.information.reshape(blocks, -1, size)
+    count = information.shape[1]
+    of_line = line.T @ likelihood.precision
+    vectors = np.concatenate([information, of_line], axis=1)[:, None] @ roots
+    bordered = np.zeros((blocks, kernels, size + count + 2, size + count + 2))
     bordered[:, :, :size, :size] = inner
     bordered[:, :, size:, :size] = vectors
     # M is 1 or more, so the corner stays positive; what it is does not reach the border.
     corner = np.sum(vectors**2, axis=(2, 3)) + 1.0
-    bordered[:, :, range(size, size + count), range(size, size + count)] = corner[..., None]
+    bordered[:, :, range(size, size + count + 2), range(size, size + count + 2)] = corner[..., None]
     factor = np.linalg.cholesky(bordered)
     diagonal = np.diagonal(factor[:, :, :size, :size], axis1=2, axis2=3)
-    gain = np.sum(factor[:, :, size:, :size] ** 2, axis=3) / 2.0
-    value = gain - np.sum(np.log(diagonal), axis=2)[..., None]
-    return value.swapaxes(1, 2).reshape(-1, kernels)
+    border, of_border = factor[:, :, size : size + count, :size], factor[:, :, size + count :, :size]
+    gain = np.sum(border**2, axis=3) / 2.0 - np.sum(np.log(diagonal), axis=2)[..., None]
+    left, turn = np.linalg.eigh((of_line @ line)[:, None] - of_border @ of_border.swapaxes(2, 3))
+    moved = ((information @ line)[:, None] - border @ of_border.swapaxes(2, 3)) @ turn
+    grown = 1.0 + lines[:, None, None, None] * np.maximum(left, 0.0)
+    by_line = np.sum(lines[:, None, None, None, None] * moved**2 / grown[:, :, :, None], axis=4) / 2.0
+    value = gain + by_line - np.sum(np.log(grown), axis=3)[..., None] / 2.0
+    return value.transpose(1, 3, 0, 2).reshape(blocks * count, -1)
 
 
 def _for_both(one: Floats) -> Floats:
