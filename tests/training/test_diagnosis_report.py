@@ -180,7 +180,12 @@ def test_the_page_needs_nothing_beside_itself_and_takes_no_text_of_a_file_as_htm
 def test_the_page_shows_causes_proof_and_what_cannot_be_seen() -> None:
     page = made_page(NAMED)
     assert EFFECTS["hysteresis"].proof in page.replace("&#39;", "'").replace("&gt;", ">").replace("&lt;", "<")
-    for text in ("98 %", "read latency".capitalize(), "the campaign lacks load_nm", "cannot be compensated"):
+    for text in (
+        "98\N{NO-BREAK SPACE}%",
+        "read latency".capitalize(),
+        "the campaign lacks load_nm",
+        "cannot be compensated",
+    ):
         assert text in page
     assert "Waterfall" not in made_page(NONE)
     assert "Lines 2, 3" in made_page(DATA_FAULT, with_curves=False)

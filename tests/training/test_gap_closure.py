@@ -7,12 +7,18 @@ import pytest
 from tests.training.gap_campaigns import SIGMA_ARCSEC, Pattern, campaign, joint, problem
 
 from trueangle_training.diagnosis.attribution import Attribution, attribute
-from trueangle_training.diagnosis.black_box import black_box
+from trueangle_training.diagnosis.black_box import black_box, chance_effects
 from trueangle_training.diagnosis.closure import Closure, closure_of
 from trueangle_training.diagnosis.end_task import Compensation, compensation_of, end_task
 from trueangle_training.diagnosis.problem import Problem
-from trueangle_training.diagnosis.recalibration import recalibration_span, run_folds
+from trueangle_training.diagnosis.recalibration import (
+    held_out,
+    recalibration_columns,
+    recalibration_span,
+    run_folds,
+)
 from trueangle_training.diagnosis.shares import Shares, shares_of
+from trueangle_training.effects.effect import Nature
 
 
 def order_five(theta: np.ndarray, t: np.ndarray, run: np.ndarray) -> np.ndarray:
@@ -164,3 +170,21 @@ def test_the_end_task_of_too_few_angles_is_left_out_with_the_reason() -> None:
     found, notes = end_task(made, compensation=Compensation(effects=(), missing_input=None), floor_arcsec2=0.25)
     assert found.oracle_arcsec is None
     assert notes
+
+
+def test_a_chance_effect_that_lives_in_one_run_does_not_make_the_control_meaningless() -> None:
+    """Fitted to noise without that run, such a shape is off there by its size: 1e4 of what it is elsewhere."""
+    made = problem(campaign(1), shapes=True)
+    rng = np.random.default_rng(0)
+    first = made.conditions.run == made.conditions.run[0]
+    shapes = [
+        next(each for each in made.hypotheses if each.effect == effect and each.nature is Nature.MEAN)
+        for effect in ("thermal_tilt", "thermal_graduation", "thermal_nonlinearity")
+    ]
+    wild = rng.normal(size=len(made)) * np.where(first, 1e4, 1.0)
+    chosen = (*shapes[:2], replace(shapes[2], main=wild[:, None]))
+    small = replace(made, hypotheses=chosen)
+    folds = run_folds(made)
+    chance = chance_effects(small, folds, count=1, without=frozenset(), draws=21, rng=np.random.default_rng(2))
+    plain = held_out(made.error_arcsec, recalibration_columns(made), made.conditions.zero_group, folds)
+    assert chance == pytest.approx(float(np.sum(plain.residual_arcsec**2)), rel=0.1)

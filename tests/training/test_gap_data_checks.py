@@ -7,6 +7,7 @@ import pytest
 from tests.training.gap_campaigns import FACES, campaign, joint, problem
 
 from trueangle.contract.calibration import Campaign
+from trueangle.contract.joint import ReferenceKind
 from trueangle_training.diagnosis.curve_checks import other_joint_faults
 from trueangle_training.diagnosis.data_checks import data_checks
 
@@ -198,3 +199,48 @@ def test_a_simulator_of_another_joint_is_named_and_a_moved_parameter_is_not() ->
     assert other_joint_faults(problem(made, joint(shipped(40.0)))) == ()
     assert [fault.kind for fault in other_joint_faults(problem(made, joint(shipped(150.0))))] == ["other_joint"]
     assert other_joint_faults(problem(made)) == ()
+
+
+def test_single_equal_rows_without_a_clock_are_chance_and_a_doubled_block_is_none() -> None:
+    made = replace(campaign(6), time_s=None, temperature_c=None)
+    angle, error = made.angle_deg.copy(), made.error_arcsec.copy()
+    angle[12], error[12] = angle[5], error[5]
+    assert "duplicated_rows" not in kinds(replace(made, angle_deg=angle, error_arcsec=error))
+    # The same with a clock that stands still there is a row written twice.
+    timed = replace(campaign(6), angle_deg=angle, error_arcsec=error)
+    assert timed.time_s is not None
+    assert timed.temperature_c is not None
+    time_s, temperature_c = timed.time_s.copy(), timed.temperature_c.copy()
+    time_s[12], temperature_c[12] = time_s[5], temperature_c[5]
+    assert "duplicated_rows" in kinds(replace(timed, time_s=time_s, temperature_c=temperature_c))
+    angle[13:16], error[13:16] = angle[6:9], error[6:9]
+    assert "duplicated_rows" in kinds(replace(made, angle_deg=angle, error_arcsec=error))
+
+
+def test_faces_of_a_polygon_beside_a_joint_with_a_reference_encoder_are_noted() -> None:
+    made, polygon = campaign(7), joint()
+    encoder = replace(polygon, reference=replace(polygon.reference, kind=ReferenceKind.ENCODER, faces=None))
+    assert any("one is wrong" in note for note in data_checks(made, encoder).notes)
+    assert data_checks(made, polygon).notes == ()
+
+
+@pytest.mark.parametrize(("lines", "counts"), [(18_000, 3_600_000), (10_000, 2_000_000), (9_000, 3_276_801)])
+def test_angles_of_another_encoder_are_told_whatever_its_counts_are(lines: int, counts: int) -> None:
+    """The campaign's angles are whole multiples of 1/3276800 turn."""
+    made, own = campaign(8), joint()
+    other = replace(own, encoder=replace(own.encoder, lines_per_rev=lines, counts_per_rev=counts))
+    (fault,) = data_checks(made, other).faults
+    assert fault.kind == "wrong_line_count"
+    assert "1/3276800 turn" in fault.text
+
+
+@pytest.mark.parametrize("digits", [3, 4, 5, 6])
+def test_angles_written_with_few_digits_are_of_no_other_encoder(digits: int) -> None:
+    made = campaign(9)
+    assert kinds(replace(made, angle_deg=np.round(made.angle_deg, digits))) == []
+
+
+def test_angles_without_any_lattice_are_of_no_other_encoder() -> None:
+    made = campaign(9)
+    scattered = made.angle_deg + np.random.default_rng(1).uniform(-1e-4, 1e-4, len(made))
+    assert kinds(replace(made, angle_deg=scattered)) == []

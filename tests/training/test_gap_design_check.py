@@ -91,6 +91,26 @@ def test_without_a_class_the_plan_is_widened_to_show_what_it_cannot_see(one_way:
     assert "read_latency" in found.text
 
 
+def test_what_would_stay_hidden_all_the_same_is_said(one_way: tuple[Problem, Design]) -> None:
+    problem, design = one_way
+    found = next_measurement(problem, design)
+    assert found.chosen is not None
+    left = {*design.invisible, *design.not_testable} - set(found.chosen.shows)
+    assert "temperature_sensor_error" in left
+    shown, hidden = found.text.split(", which this plan hides; ")
+    assert all(name in shown for name in found.chosen.shows)
+    assert all(name in hidden for name in left)
+
+
+def test_what_no_measurement_would_show_asks_for_none(one_way: tuple[Problem, Design]) -> None:
+    problem, design = one_way
+    blind = replace(design, invisible=("temperature_sensor_error",), not_testable=())
+    found = next_measurement(problem, blind)
+    assert found.chosen is None
+    assert found.text.startswith("Nothing more to measure: none of the ")
+    assert "would show temperature_sensor_error" in found.text
+
+
 def test_many_readings_are_averaged_within_runs_and_said_so() -> None:
     made = gap_campaigns.campaign(3)
     times = 100

@@ -1,5 +1,7 @@
 """Three shares that add up, and parameters that are tested for staying the same."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.training.gap_campaigns import FACES, SIGMA_ARCSEC, campaign, joint, problem
@@ -126,3 +128,24 @@ def test_an_amplitude_drawn_anew_in_each_run_is_found() -> None:
 
 def test_fewer_than_six_runs_allow_no_statement() -> None:
     assert constancy_tests(problem(campaign(11, temperatures_c=(10.0, 20.0), repeats=2))) == ()
+
+
+def test_draws_that_the_simulator_models_are_judged_by_half_runs() -> None:
+    """No other run tells the draw of a held-out one: that it is not predicted must not count as structure."""
+    rng = np.random.default_rng(5)
+    made = campaign(4)
+    runs, index = np.unique(made.run, return_inverse=True)
+    draws = rng.normal(0.0, 3.0, (runs.size, 2))[index]
+    theta = np.radians(made.angle_deg)
+    moved = made.error_arcsec + draws[:, 0] * np.cos(theta) + draws[:, 1] * np.sin(theta)
+    drawn = replace(made, error_arcsec=moved)
+    effects: dict[str, object] = {"eccentricity": {}, "grating_tilt": {}, "thermal_eccentricity": {}}
+    without = shares_of(problem(drawn, joint(effects)))
+    modelled = shares_of(problem(drawn, joint({**effects, "run_to_run_eccentricity": {"amplitude_arcsec": 4.2}})))
+    assert without is not None
+    assert modelled is not None
+    # Order 1 drawn with 3 arcsec each way: 9 arcsec^2 a reading.
+    assert without.recalibrated_arcsec2 == pytest.approx(9.0, rel=0.4)
+    assert modelled.recalibrated_arcsec2 == pytest.approx(SIGMA_ARCSEC**2, rel=0.2)
+    assert any("draws anew" in note for note in modelled.notes)
+    assert not any("draws anew" in note for note in without.notes)

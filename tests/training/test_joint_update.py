@@ -8,10 +8,12 @@ from trueangle.contract.document import document_from_plain, structure
 from trueangle.contract.joint import Joint, effect_settings, joint_from_document
 from trueangle_training.diagnosis.joint_update import (
     FoundShape,
+    growth_settings,
     joint_update,
     merged,
     updated_joint,
 )
+from trueangle_training.diagnosis.scatter import Growth
 from trueangle_training.documents import joint_text_with_effects
 from trueangle_training.effects import EFFECTS
 from trueangle_training.effects.conditions import Conditions
@@ -162,6 +164,84 @@ def test_two_parts_of_one_effect_become_one() -> None:
     assert merged(one, newer)["harmonics"] == newer["harmonics"]
     assert merged(None, one) == one
     assert structure(EFFECTS["graduation_error"].settings, effect_settings(both, name="graduation_error"))
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        (
+            "subdivision_error",
+            {"harmonics": [{"per_line": 1, "amplitude_arcsec": 1.0, "phase_deg": 0.0}]},
+            {"harmonics": [{"per_line": 2, "amplitude_arcsec": 2.0, "phase_deg": 9.0}]},
+        ),
+        (
+            "bearing_wobble",
+            {"wobbles": [{"per_turn": 0.43, "amplitude_arcsec": 1.0, "phase_deg": 0.0}]},
+            {"wobbles": [{"per_turn": 0.61, "amplitude_arcsec": 2.0, "phase_deg": 9.0}]},
+        ),
+        (
+            "localized_defect",
+            {"defects": [{"centre_deg": 10.0, "fwhm_deg": 5.0, "amplitude_arcsec": 1.0}]},
+            {"defects": [{"centre_deg": 90.0, "fwhm_deg": 5.0, "amplitude_arcsec": 2.0}]},
+        ),
+        (
+            "count_loss",
+            {"events": [{"run": 3, "reading": 5, "step_arcsec": 4.0}]},
+            {"events": [{"run": 3, "reading": 9, "step_arcsec": 2.0}]},
+        ),
+    ],
+)
+def test_lists_that_know_no_order_are_joined_too(name: str, old: dict, new: dict) -> None:
+    (key,) = old
+    both = merged(old, new)
+    assert both[key] == [*old[key], *new[key]]
+    assert structure(EFFECTS[name].settings, effect_settings(both, name=name))
+    if name in {"subdivision_error", "bearing_wobble"}:
+        newer = {key: [{**old[key][0], "amplitude_arcsec": 7.0}]}
+        assert merged(old, newer) == newer
+
+
+def test_curves_inside_a_line_are_taken_over_with_their_bends() -> None:
+    conditions, joint = made_conditions(), made_joint({})
+    shape = next(iter(EFFECTS["subdivision_error"].hypotheses(conditions)))
+    coefficients = np.full(shape.main.shape[1], 0.7)
+    curve = shape.main @ coefficients
+    part = FoundShape(hypothesis=shape, coefficients=coefficients, curve_arcsec=curve)
+    update = joint_update(joint, conditions, EFFECTS, modelled={}, found=[part])
+    made = curve_of(updated_joint(joint, update), conditions)
+    assert made == pytest.approx(centred(curve, conditions), abs=CAMPAIGN_ARCSEC)
+
+
+@pytest.mark.parametrize(
+    ("condition", "steady_arcsec", "key", "per_unit"),
+    [
+        ("temperature_c", 0.6, "arcsec_per_k", 0.08),
+        ("speed_deg_s", 0.5, "arcsec_per_deg_s", 0.3),
+        ("load_nm", 0.5, "arcsec_per_nm", 0.1),
+    ],
+)
+def test_growing_scatter_is_written_with_the_size_that_it_has(
+    condition: str, steady_arcsec: float, key: str, per_unit: float
+) -> None:
+    """Ratio and mean variance of a scatter made with the effect's own formula give its settings back."""
+    conditions = made_conditions()
+    assert conditions.velocity_deg_s is not None
+    assert conditions.load_nm is not None
+    assert conditions.temperature_c is not None
+    lowest_c = float(conditions.temperature_c.min())
+    values = {
+        "temperature_c": conditions.temperature_c - lowest_c,
+        "speed_deg_s": np.abs(conditions.velocity_deg_s),
+        "load_nm": np.abs(conditions.load_nm),
+    }[condition]
+    variance = steady_arcsec**2 + (per_unit * values) ** 2
+    ratio = float(np.sqrt(variance[np.argmax(values)] / variance[np.argmin(values)]))
+    growth = Growth(condition=condition, ratio=ratio, p_value=0.0002, log_slope=0.1)
+    made = growth_settings(growth, conditions, scatter_arcsec=float(np.sqrt(variance.mean())))
+    expected = {key: per_unit}
+    if condition == "temperature_c":
+        expected["from_temperature_c"] = lowest_c
+    assert made == pytest.approx(expected, rel=1e-9)
 
 
 TEXT = """\

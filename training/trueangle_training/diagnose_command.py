@@ -1,7 +1,7 @@
 """`trueangle diagnose`: where a joint departs from its simulator, which effect causes it, how far that shrinks."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from datetime import date
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 PROCESSES = 2
 REPORT_JSON, DESIGN_JSON, REPORT_HTML, PLOTS = "report.json", "design.json", "report.html", "plots"
 EXIT_BAD_INPUT = 2
+EXTENDED = "extended by what was found"
+"""In what `joint_update` says of an effect that the joint had and that has got more parts."""
 
 
 def register(subparsers: "Subparsers") -> None:
@@ -114,9 +116,11 @@ def _cases(arguments: argparse.Namespace, today: date) -> list[Case]:
             check_writable(arguments.update)
         except ContractError as error:
             faults += error.faults
-        if any(_same(arguments.update, each) for each in arguments.measured):
-            found = str(arguments.update)
-            faults.append(Fault(where="--update", expected="another file than the campaign", found=found))
+        own = [arguments.out / name for name in (REPORT_JSON, DESIGN_JSON, REPORT_HTML)]
+        for taken, whose in ((arguments.measured, "the campaign"), (own, "the report's own files")):
+            if any(_same(arguments.update, each) for each in taken):
+                found = str(arguments.update)
+                faults.append(Fault(where="--update", expected=f"another file than {whose}", found=found))
     if faults:
         raise ContractError(faults)
     folders = _folders(arguments.out, arguments.measured) if several else [arguments.out]
@@ -137,7 +141,10 @@ def _cases(arguments: argparse.Namespace, today: date) -> list[Case]:
 
 
 def _same(one: Path, other: Path) -> bool:
-    return one.exists() and other.exists() and one.samefile(other)
+    """Whether both are one file, or will be once they are written."""
+    if one.exists() and other.exists():
+        return one.samefile(other)
+    return one.resolve() == other.resolve()
 
 
 def _folders(out: Path, measured: Sequence[Path]) -> list[Path]:
@@ -265,9 +272,27 @@ def _write_update(case: Case, diagnosis: "Diagnosis") -> list[str]:
         heading=heading,
     )
     write_whole(case.update, text.encode())
-    added = [name for name, comment in update.comments.items() if not comment.startswith("re-calibrated")]
-    changed = f"with {', '.join(added)} added" if added else "re-calibrated, nothing added"
-    return [f"{'joint':<17}{case.update}: {changed}", *(f"{'note':<17}{note}" for note in update.notes)]
+    changed = _changed(update.comments)
+    notes = [*update.notes, *_stand_ins(diagnosis)]
+    return [f"{'joint':<17}{case.update}: {changed}", *(f"{'note':<17}{note}" for note in notes)]
+
+
+def _stand_ins(diagnosis: "Diagnosis") -> list[str]:
+    """Effects that are written although the plan cannot tell them from others."""
+    classes = [cause for cause in diagnosis.findings.causes if cause.named and len(cause.members) > 1]
+    return [
+        f"{cause.effect} is written for one of {', '.join(cause.members)}: on this plan their curves are one, "
+        "elsewhere they are not"
+        for cause in classes
+    ]
+
+
+def _changed(comments: Mapping[str, str]) -> str:
+    """What was done to the joint, from what is written beside its effects."""
+    added = [name for name, comment in comments.items() if comment.startswith("found")]
+    extended = [name for name, comment in comments.items() if EXTENDED in comment]
+    parts = [f"{', '.join(names)} {what}" for names, what in ((added, "added"), (extended, "extended")) if names]
+    return f"with {' and '.join(parts)}" if parts else "re-calibrated, nothing added"
 
 
 def _shown(name: str) -> str:

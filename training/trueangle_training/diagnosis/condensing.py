@@ -36,7 +36,7 @@ def condense(campaign: Campaign, *, most_rows: int = MOST_ROWS) -> Condensed:
         return Condensed(campaign=campaign, reading=whole, averaged=np.ones(count, dtype=np.int64), notes=())
     starts, size = _blocks(campaign, most_rows)
     notes = [f"{count} readings were averaged to {starts.size} rows of up to {size} neighbours within a run"]
-    notes.append(f"patterns finer than {size} readings are averaged out")
+    notes.append(f"patterns finer than {size} readings are averaged out; RMS, floor and shares are of these rows")
     averaged = np.diff(np.append(starts, count)).astype(np.int64)
     rows = _averaged(campaign, starts, averaged)
     if starts.size > most_rows:

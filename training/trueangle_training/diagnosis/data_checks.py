@@ -31,7 +31,10 @@ SMALLEST_STEP_DEG = 0.01
 RADIAN_TURN = 6.3
 FEW = 0.1
 """Part of the readings up to which wrong ones are single ones."""
+CHANCE_COPIES = 0.01
+"""Part of the readings up to which equal ones are chance where no time tells them apart."""
 FEWEST_ANGLES = 8
+DECIMALS = 10**7
 FINEST_LATTICE = 2**23
 """Counts per turn: a file's decimals show no finer ones."""
 
@@ -57,7 +60,16 @@ def data_checks(campaign: Campaign, joint: Joint) -> DataChecks:
         *_lattice_faults(campaign, joint),
     ]
     curve, notes = curve_faults(campaign, joint, faults_before=bool(faults))
-    return DataChecks(faults=(*faults, *curve), notes=notes)
+    return DataChecks(faults=(*faults, *curve), notes=(*notes, *_reference_note(campaign, joint)))
+
+
+def _reference_note(campaign: Campaign, joint: Joint) -> tuple[str, ...]:
+    """File and JOINT.yaml name different references: no reading is wrong by that, but one of the two files is."""
+    if campaign.face is None or joint.reference.kind is ReferenceKind.POLYGON or not (campaign.face > 0).any():
+        return ()
+    faces = int(campaign.face.max())
+    note = f"the campaign has polygon faces up to {faces}, the reference of JOINT.yaml is an encoder: one is wrong"
+    return (note,)
 
 
 def _fault(campaign: Campaign, kind: str, rows: Mask | None, text: str) -> DataFault:
@@ -208,10 +220,10 @@ def _copy_faults(campaign: Campaign) -> Iterator[DataFault]:
         campaign.direction,
     ]
     table = np.column_stack([each.astype(np.float64) for each in columns if each is not None])
-    _, first, count = np.unique(np.nan_to_num(table), axis=0, return_index=True, return_counts=True)
-    if (count > 1).any():
-        copies = np.ones(len(campaign), dtype=bool)
-        copies[first] = False
+    _, first = np.unique(np.nan_to_num(table), axis=0, return_index=True)
+    copies = np.ones(len(campaign), dtype=bool)
+    copies[first] = False
+    if copies.any() and (campaign.time_s is not None or not _by_chance(copies)):
         yield _fault(
             campaign,
             "duplicated_rows",
@@ -233,6 +245,12 @@ def _copy_faults(campaign: Campaign) -> Iterator[DataFault]:
                 here,
                 f"run {run} has the errors of run {other} to the last digit: copied instead of measured?",
             )
+
+
+def _by_chance(copies: Mask) -> bool:
+    """Without a clock a few readings may agree in all digits: single ones, and few of them."""
+    in_a_row = bool(np.any(copies[1:] & copies[:-1]))
+    return not in_a_row and float(np.mean(copies)) < CHANCE_COPIES
 
 
 def _face_faults(campaign: Campaign, joint: Joint) -> Iterator[DataFault]:
@@ -332,7 +350,7 @@ def _lattice_faults(campaign: Campaign, joint: Joint) -> Iterator[DataFault]:
     counts = joint.encoder.counts_per_rev
     if counts > FINEST_LATTICE or _on_lattice(campaign.angle_deg, counts) >= CLEARLY / 2:
         return
-    others = {2**bits for bits in range(8, 24)} | {joint.encoder.lines_per_rev}
+    others = {2**bits for bits in range(8, 24)} | {joint.encoder.lines_per_rev} | _own_lattice(campaign.angle_deg)
     others |= {counts * up // down for up in (1, 2, 3, 4, 5, 8, 10) for down in (1, 2, 3, 4, 5, 8, 10)}
     found = [each for each in sorted(others - {counts}) if _on_lattice(campaign.angle_deg, each) >= CLEARLY]
     # A coarse lattice that few distinct angles happen to share proves nothing.
@@ -348,6 +366,30 @@ def _lattice_faults(campaign: Campaign, joint: Joint) -> Iterator[DataFault]:
                 f"the indicated angles are whole multiples of 1/{found[0]} turn, not of 1/{counts} as JOINT.yaml "
                 "has it: another encoder, or a wrong counts_per_rev",
             )
+
+
+def _own_lattice(angle_deg: Floats) -> set[int]:
+    """Counts per turn that the smallest steps between angles suggest; none where decimals make the lattice.
+
+    The step is taken from the smallest difference and refined with ever larger ones, each of which is a whole
+    number of steps as long as the step is known to half of one.
+    """
+    differences = np.unique(np.round(np.diff(np.unique(angle_deg)), 10))
+    differences = differences[differences > DEG_PER_TURN / (2 * FINEST_LATTICE)]
+    if differences.size < FEWEST_ANGLES:
+        return set()
+    found: set[int] = set()
+    for part in (1, 2, 3):
+        step = float(differences[0]) / part
+        for difference in differences.tolist():
+            steps = difference / step
+            if abs(steps - round(steps)) < 0.25:
+                step = difference / round(steps)
+        counts = round(DEG_PER_TURN / step)
+        # Steps of 0.0001 deg are those of a file's digits.
+        if 2**8 <= counts <= FINEST_LATTICE and (360 * DECIMALS) % counts != 0:
+            found.add(counts)
+    return found
 
 
 def _on_lattice(angle_deg: Floats, counts: int) -> float:

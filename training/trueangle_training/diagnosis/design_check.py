@@ -114,7 +114,8 @@ def _scatter_reason(problem: Problem, name: str) -> str | None:
         return None
     axes = axes_of(problem.conditions)
     if axes.runs < FEWEST_RUNS_FOR_SCATTER:
-        return f"{axes.runs} runs; {FEWEST_RUNS_FOR_SCATTER} are needed to judge the scatter"
+        runs = "1 run" if axes.runs == 1 else f"{axes.runs} runs"
+        return f"{runs}; {FEWEST_RUNS_FOR_SCATTER} are needed to judge the scatter"
     if axes.temperature is None and axes.speed is None and axes.load is None:
         return "temperature, speed and load are constant or not recorded"
     return None

@@ -36,6 +36,8 @@ from trueangle_training.diagnosis.generic import ODD_RUN_FAMILY
 from trueangle_training.diagnosis.joint_update import FoundShape, JointUpdate, growth_settings, joint_update
 from trueangle_training.diagnosis.location import CellFit, FoundPart, where
 from trueangle_training.diagnosis.next_measurement import next_measurement
+from trueangle_training.diagnosis.overlooked import OVERLOOKED, more_than_noise, overlooked
+from trueangle_training.diagnosis.plain_notes import disturbed_note, one_way_note, still_said
 from trueangle_training.diagnosis.plan_sight import plan_sight, subject_of
 from trueangle_training.diagnosis.problem import Problem, problem_of
 from trueangle_training.diagnosis.recalibration import recalibration_span
@@ -49,6 +51,7 @@ STAGES = ("data", "attribution", "shares", "places", "closure", "end task")
 """What `diagnose` reports progress over."""
 SEED = 0
 """Of sign flips and bootstraps: the same file gives the same report."""
+MEND_FIRST = "Mend the file, or measure again what is wrong in it; then diagnose again."
 SIMPLE_COLUMNS = 2
 """Cosine and sine of one order: what one cell says in full."""
 
@@ -92,7 +95,7 @@ def prepare(campaign: Campaign, joint: Joint, *, library: Mapping[str, LibraryEf
         subject_of(campaign, joint),
         library,
         next_measurement=next_measurement(problem, _without_modelled(design, joint)).text,
-        notes=(*problem.notes, *_angle_only_note(problem)),
+        notes=(*problem.notes, *_angle_only_note(problem), *one_way_note(problem)),
     )
     return Prepared(campaign=campaign, joint=joint, library=library, problem=problem, design=design, sight=sight)
 
@@ -140,11 +143,13 @@ def _without_physics(prepared: Prepared, checks: DataChecks) -> Findings:
     conclusion = conclusion_of(
         data_faults=checks.faults, testable=bool(sight.testable), causes=(), unexplained=findings.unexplained
     )
-    if not checks.faults:
-        shares = shares_of(prepared.problem)
-        if shares is not None:
-            findings = replace(findings, gap=_gap(shares, Closure()), notes=(*findings.notes, *shares.notes))
-    return replace(findings, conclusion=conclusion)
+    if checks.faults:
+        return replace(findings, conclusion=conclusion, next_measurement=MEND_FIRST)
+    shares = shares_of(prepared.problem)
+    if shares is not None:
+        findings = replace(findings, gap=_gap(shares, Closure()), notes=(*findings.notes, *shares.notes))
+    notes = (*findings.notes, still_said(prepared.problem))
+    return replace(findings, conclusion=conclusion, notes=notes)
 
 
 def _blank(prepared: Prepared, checks: DataChecks) -> Findings:
@@ -192,7 +197,11 @@ def _with_physics(prepared: Prepared, checks: DataChecks, progress: Callable[[in
         nearest_effect=answer.unexplained.nearest_effect,
         nearest_share=min(answer.unexplained.nearest_share, 1.0),
     )
+    if answer.kind is which.VerdictKind.NONE and more_than_noise(shares, places):
+        unexplained = overlooked(prepared.design, cleaned)
+        closure = replace(closure, closure=0.0, interval=(0.0, 0.0), notes=(*closure.notes, OVERLOOKED))
     blank = _blank(prepared, checks)
+    disturbed = disturbed_note(prepared.campaign, problem, attribution.cleaned_arcsec)
     findings = replace(
         blank,
         conclusion=conclusion_of(data_faults=checks.faults, testable=True, causes=causes, unexplained=unexplained),
@@ -204,7 +213,13 @@ def _with_physics(prepared: Prepared, checks: DataChecks, progress: Callable[[in
         waterfall=closure.waterfall,
         end_task=task,
         next_measurement=_next_measurement(prepared, answer),
-        notes=(*blank.notes, *(() if shares is None else shares.notes), *closure.notes, *task_notes),
+        notes=(
+            *blank.notes,
+            *disturbed,
+            *(() if shares is None else shares.notes),
+            *closure.notes,
+            *task_notes,
+        ),
     )
     return Diagnosis(
         findings=findings,
@@ -278,7 +293,7 @@ def _with_scatter(places: tuple[Place, ...], answer: which.Verdict) -> tuple[Pla
     significant = [place for place in there if place.significant]
     chosen = (significant or there or [_place_of(answer.named[0].effect)])[:1]
     first = replace(chosen[0], share=1.0, significant=True)
-    return (first, *(place for place in places if place.cell != first.cell))
+    return (first, *(replace(place, share=0.0) for place in places if place.cell != first.cell))
 
 
 def _place_of(effect: str) -> Place:

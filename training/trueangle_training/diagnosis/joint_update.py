@@ -22,6 +22,8 @@ SAME_SPAN = 1e-6
 SIGNIFICANT_DIGITS = 7
 QUADRATIC = "thermal_nonlinearity"
 LISTS_SPAN = "orders"
+PLACED_BY = ("order", "per_line", "per_turn", "run")
+"""Keys of which one says to which harmonic, or to which run, an entry of a list belongs."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -124,10 +126,10 @@ def _bent(
 
 
 def growth_settings(growth: Growth, conditions: Conditions, *, scatter_arcsec: float) -> dict[str, Any]:
-    """Settings of `noise_growth` whose scatter, added to the joint's own, grows by the ratio that was found.
+    """Settings of `noise_growth` that give the campaign's scatter and the ratio that was found.
 
-    `scatter_arcsec`: standard deviation of one reading in the middle of the range. With s at the low end and r s
-    at the high end, what is added there is s sqrt(r^2 - 1), in proportion to the distance from the low end.
+    `scatter_arcsec`: root of the mean variance of a reading. The effect adds a u, u from 0 or |value| / highest up
+    to 1, to a scatter s that stays: (s^2 + a^2) / (s^2 + a^2 u_low^2) = r^2 and s^2 + a^2 mean(u^2) = scatter^2.
     """
     values = {
         "temperature_c": conditions.temperature_c,
@@ -136,10 +138,22 @@ def growth_settings(growth: Growth, conditions: Conditions, *, scatter_arcsec: f
     }[growth.condition]
     assert values is not None  # noqa: S101 - the growth was found over it
     low, high = float(values.min()), float(values.max())
-    added = scatter_arcsec / np.sqrt(growth.ratio) * np.sqrt(max(growth.ratio**2 - 1.0, 0.0))
     if growth.condition == "temperature_c":
+        added = _added_at_top((values - low) / (high - low), growth.ratio, scatter_arcsec)
         return {"arcsec_per_k": added / (high - low), "from_temperature_c": low}
+    added = _added_at_top(values / high, growth.ratio, scatter_arcsec)
     return {"arcsec_per_deg_s" if growth.condition == "speed_deg_s" else "arcsec_per_nm": added / high}
+
+
+def _added_at_top(place: Floats, ratio: float, scatter_arcsec: float) -> float:
+    """`a` of `growth_settings`; `place`: u of each reading."""
+    mean_square = float(np.mean(place**2))
+    steady = 1.0 - ratio**2 * float(place.min()) ** 2
+    if steady <= 0.0:
+        # No straight line through zero grows faster than its condition: all scatter is then of the effect.
+        return scatter_arcsec / float(np.sqrt(mean_square))
+    gain = max(ratio**2 - 1.0, 0.0) / steady
+    return scatter_arcsec * float(np.sqrt(gain / (1.0 + gain * mean_square)))
 
 
 def _check(effects: Mapping[str, dict[str, Any]], library: Mapping[str, LibraryEffect], joint: Joint) -> None:
@@ -269,7 +283,7 @@ def merged(old: dict[str, Any] | None, new: dict[str, Any]) -> dict[str, Any]:
             together[key] = _joined(before, value)
         else:
             together[key] = value
-    orders = [each["order"] for each in together.get("harmonics", ())]
+    orders = [each["order"] for each in together.get("harmonics", ()) if "order" in each]
     if orders and LISTS_SPAN in together:
         first, last = together[LISTS_SPAN]
         together[LISTS_SPAN] = [min(first, *orders), max(last, *orders)]
@@ -277,12 +291,18 @@ def merged(old: dict[str, Any] | None, new: dict[str, Any]) -> dict[str, Any]:
 
 
 def _joined(before: list[Any], after: list[Any]) -> list[Any]:
-    replaced = {each.get("order") for each in after if isinstance(each, dict)} - {None}
-    kept = [each for each in before if not (isinstance(each, dict) and each.get("order") in replaced)]
-    joined = [*kept, *after]
-    if all(isinstance(each, dict) and "order" in each for each in joined):
-        joined.sort(key=lambda each: each["order"])
+    replaced = {_place(each) for each in after} - {None}
+    joined = [*(each for each in before if _place(each) not in replaced), *after]
+    if all(_place(each) is not None for each in joined):
+        joined.sort(key=lambda each: _place(each) or ("", 0.0))
     return joined
+
+
+def _place(entry: Any) -> tuple[str, float] | None:
+    """What an entry of a list is for; None: it stands for itself, as events and defects do."""
+    if not isinstance(entry, dict) or "reading" in entry:
+        return None
+    return next(((key, float(entry[key])) for key in PLACED_BY if key in entry), None)
 
 
 def rounded(settings: Any) -> Any:

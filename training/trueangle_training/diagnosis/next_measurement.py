@@ -87,22 +87,32 @@ def next_measurement(
     key = (lambda each: len(each.separates)) if suspects else (lambda each: len(each.shows))
     useful = [each for each in tried if key(each) > 0]
     if not useful:
-        what = " and ".join(suspects) if suspects else ", ".join(unseen)
-        text = f"No single further measurement that was simulated tells {what} apart."
-        if not suspects:
-            text = f"No single further measurement that was simulated shows {what}."
+        none = f"none of the {len(tried)} further measurements that were tried in simulation"
+        if suspects:
+            text = f"Nothing to measure for that: {none} tells {_and(suspects)} apart."
+        else:
+            text = f"Nothing more to measure: {none} would show {_and(unseen)}, which this plan hides."
         return NextMeasurement(text=text, chosen=None, candidates=tuple(tried))
     most = max(key(each) for each in useful)
     chosen = min((each for each in useful if key(each) == most), key=lambda each: (each.hours, -len(each.shows)))
-    return NextMeasurement(text=_text(chosen, suspects), chosen=chosen, candidates=tuple(tried))
+    text = _separating(chosen, suspects) if suspects else _showing(chosen, unseen)
+    return NextMeasurement(text=text, chosen=chosen, candidates=tuple(tried))
 
 
-def _text(chosen: Extension, suspects: Sequence[str]) -> str:
-    if not suspects:
-        return f"{chosen.text} This plan cannot see {', '.join(chosen.shows)}; this would show it."
+def _showing(chosen: Extension, unseen: Sequence[str]) -> str:
+    left = [name for name in unseen if name not in chosen.shows]
+    sentence = f"{chosen.text} This would show {_and(chosen.shows)}, which this plan hides"
+    return sentence + (f"; {_and(left)} would stay hidden." if left else ".")
+
+
+def _and(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _separating(chosen: Extension, suspects: Sequence[str]) -> str:
     left = [name for name in suspects[1:] if name not in chosen.separates]
-    sentence = f"{chosen.text} It tells {suspects[0]} from {', '.join(chosen.separates)}."
-    return sentence + (f" It does not tell it from {', '.join(left)}." if left else "")
+    sentence = f"{chosen.text} It tells {suspects[0]} from {_and(chosen.separates)}."
+    return sentence + (f" It does not tell it from {_and(left)}." if left else "")
 
 
 def _judged(
@@ -340,7 +350,8 @@ _CANDIDATES = (
     ),
     _Candidate(
         name="second speed",
-        text="Sweep at two speeds, one four times the other, under one zero.",
+        text="Sweep two turns against a reference encoder under one zero, a reading every 2 deg: one turn at "
+        "5 deg/s, one at 20 deg/s.",
         hours=0.5,
         readings=_two_speeds,
     ),

@@ -61,11 +61,11 @@ def plan_sight(
 
 def _more_runs(subject: Subject) -> str:
     """What a plan needs before anything can be asked of it."""
-    runs = "1 run" if subject.runs == 1 else f"{subject.runs} runs"
     missing = max(1, FEWEST_RUNS - subject.runs)
+    runs = "1 more run" if missing == 1 else f"{missing} more runs"
     return (
-        f"Measure at least {missing} more runs around the whole turn, at three temperatures or more, in both "
-        "directions and with the polygon re-mounted: beside the parameters that are re-calibrated, "
-        f"{runs} of {subject.readings} readings have nothing left to show. With {FEWEST_RUNS} runs each pattern "
-        "can be tested, with 2 something can be held out."
+        f"Measure at least {runs} around the whole turn, at three temperatures or more, in both directions and "
+        "with the polygon re-mounted. With 2 runs something can be held out, with "
+        f"{FEWEST_RUNS} each pattern can be tested; until then re-calibrating the simulator's parameters takes up "
+        "all that the readings show."
     )

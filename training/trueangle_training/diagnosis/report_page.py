@@ -12,6 +12,8 @@ from trueangle_training.effects.effect import LibraryEffect
 from trueangle_training.html_page import Markup, page
 
 SHOWN_ROWS = 40
+SHOWN_PARAMETERS = 8
+"""Of a cause; more of them (a draw for each run, a figure for each face) are folded away."""
 SMALLEST_BAR = 0.015
 """Of the bar's width: a smaller share would not be seen at all."""
 
@@ -126,26 +128,36 @@ def pictures(inputs: PageInputs) -> tuple[Picture, ...]:
 def report_page(inputs: PageInputs, drawn: tuple[Picture, ...]) -> str:
     """The page as HTML; the same inputs give the same text."""
     findings = inputs.findings
-    return page(
+    text = page(
         "diagnosis.html.j2",
         {
             "findings": findings,
             "sight": inputs.sight,
             "made_on": inputs.made_on,
-            "sentence": wording.verdict_sentence(findings).replace(" %", "\N{NO-BREAK SPACE}%"),
+            "sentence": wording.verdict_sentence(findings),
             "named": any(cause.named for cause in findings.causes),
             "headline": HEADLINES[findings.conclusion],
             "faulty": findings.conclusion in (Conclusion.DATA_FAULT, Conclusion.INSUFFICIENT),
             "pictures": {each.name: each for each in drawn},
             "split": split_bar(findings),
             "causes": tuple(_explained(cause, inputs.library) for cause in findings.causes),
-            "hidden": wording.hidden_effects(findings),
+            "hidden": wording.by_reason(
+                {name: _why_hidden(inputs.sight, name) for name in wording.hidden_effects(findings)}
+            ),
+            "not_testable": wording.by_reason(findings.not_testable),
             "places": wording.significant_places(findings),
-            "visible": {seen.effect: seen for seen in inputs.sight.effects},
             "shown_rows": SHOWN_ROWS,
+            "shown_parameters": SHOWN_PARAMETERS,
             "words": wording,
         },
     )
+    # A number and its sign stay on one line.
+    return text.replace(" %", "\N{NO-BREAK SPACE}%")
+
+
+def _why_hidden(sight: PlanSight, effect: str) -> str:
+    reasons = {seen.effect: seen.reason for seen in sight.effects}
+    return reasons.get(effect) or "re-calibration takes it up completely"
 
 
 HEADLINES: Mapping[Conclusion, str] = {

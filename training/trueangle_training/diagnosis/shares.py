@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from trueangle.contract.units import wrap_deg
 from trueangle_training.diagnosis.problem import Problem
 from trueangle_training.diagnosis.recalibration import (
+    Fold,
     HeldOut,
     groups_of_values,
     held_out,
@@ -26,6 +27,9 @@ from trueangle_training.diagnosis.recalibration import (
     run_folds,
     temperature_of_runs,
 )
+from trueangle_training.diagnosis.run_draws import BLOCKS_OF_RUN
+from trueangle_training.effects import EFFECTS
+from trueangle_training.effects.effect import Nature
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -36,6 +40,10 @@ SAME_TEMPERATURE_C = 1.0
 FEWEST_FREEDOMS = 20.0
 """A scatter from fewer is known to worse than 16 %: the saturated fit is asked instead."""
 HIGHEST_ORDER = 12
+DRAWS_NOTE = (
+    "the simulator has effects that each run draws anew: re-calibrated, each half of a held-out run is judged "
+    "with the draw of the other half"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,10 +90,33 @@ def shares_of(problem: Problem, *, found: Floats | None = None) -> Shares | None
     floor = floor_of(problem, found=found)
     none = np.zeros((len(problem.conditions), 0))
     shipped = held_out(problem.error_arcsec - problem.nominal_arcsec, none, group, folds)
-    recalibrated = held_out(problem.error_arcsec, recalibration_columns(problem), group, folds)
+    drawn = _models_draws(problem)
+    halves = _half_runs(problem, folds) if drawn else folds
+    recalibrated = held_out(problem.error_arcsec, recalibration_columns(problem), group, halves)
     g0 = shipped.mean_square(floor.variance_arcsec2)
     g1 = recalibrated.mean_square(floor.variance_arcsec2)
-    return _shares(g0, g1, floor, shipped, recalibrated)
+    shares = _shares(g0, g1, floor, shipped, recalibrated)
+    return replace(shares, notes=(*shares.notes, DRAWS_NOTE)) if drawn else shares
+
+
+def _models_draws(problem: Problem) -> bool:
+    """Whether the simulator has effects whose parameters each run draws anew."""
+    return any(EFFECTS[name].nature in (Nature.RANDOM, Nature.EVENT) for name in set(problem.modelled_effects))
+
+
+def _half_runs(problem: Problem, folds: tuple[Fold, ...]) -> tuple[Fold, ...]:
+    """The folds cut into alternate blocks of each run: no other run tells the draw of this one."""
+    second = np.zeros(len(problem.conditions), dtype=bool)
+    run = problem.conditions.run
+    for each in np.unique(run):
+        here = np.flatnonzero(run == each)
+        second[here] = np.arange(here.size) * min(BLOCKS_OF_RUN, here.size) // here.size % 2 == 1
+    return tuple(
+        Fold(label=f"{fold.label}, half {number}", left_out=left_out)
+        for fold in folds
+        for number, half in enumerate((second, ~second), start=1)
+        if (left_out := fold.left_out & half).any()
+    )
 
 
 def _shares(g0: float, g1: float, floor: Floor, shipped: HeldOut, recalibrated: HeldOut) -> Shares:

@@ -1,9 +1,11 @@
 """Findings in plain words, for the terminal and for the page."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 
 from trueangle.contract.joint import EFFECT_NAMES
 from trueangle_training.diagnosis.findings import (
+    NAMED_FROM,
     Cause,
     Conclusion,
     EndTask,
@@ -19,6 +21,11 @@ LITTLE = 0.05
 NEAR = 0.1
 """Share of what is unexplained below which an effect that could carry it is no neighbour."""
 SHOWN_PLACES = 3
+SMALLEST_P = 0.0001
+LARGE_PLACE = 0.1
+"""Share from which a place is told although the signs of whole runs alone do not make it significant."""
+UNTESTED = " (too few runs to test this place by itself)"
+BY_EVIDENCE_ONLY = " (by the evidence; the signs of whole runs alone do not show it)"
 TIMES = " \N{MULTIPLICATION SIGN} "
 SMALLEST_PLACE = 0.01
 """Share below which a significant place is left to the map."""
@@ -33,6 +40,11 @@ def listed(names: Sequence[str], *, last: str = "and") -> str:
     """Names as prose: "a, b and c"."""
     words = [effect_words(name) for name in names]
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}" if words else ""
+
+
+def counted(number: int, name: str) -> str:
+    """A number with its noun."""
+    return f"{number} {name}" if number == 1 else f"{number} {name}s"
 
 
 def prose(text: str) -> str:
@@ -83,7 +95,10 @@ def verdict_sentence(findings: Findings) -> str:
             kinds = list(dict.fromkeys(fault.kind for fault in findings.data_faults))
             return f"The file is faulty ({listed(kinds)}): mend it before physics is asked."
         case Conclusion.INSUFFICIENT:
-            return "This campaign cannot show any effect, whatever the joint does: more must be measured."
+            return (
+                f"With {counted(findings.subject.readings, 'reading')} in {counted(findings.subject.runs, 'run')} "
+                "this campaign cannot show any effect, whatever the joint does: more must be measured."
+            )
         case Conclusion.NONE:
             return _none_sentence(findings)
         case Conclusion.NAMED:
@@ -94,12 +109,14 @@ def verdict_sentence(findings: Findings) -> str:
 
 def _none_sentence(findings: Findings) -> str:
     parametric = findings.gap.parametric_share
+    blind = hidden_effects(findings) or findings.not_testable
+    subject = "No effect that this plan can show is missing" if blind else "No effect is missing"
     if parametric is not None and parametric > LITTLE:
         return (
-            f"No effect is missing from the simulator: re-calibrating its parameters closes {percent(parametric)} "
+            f"{subject} from the simulator: re-calibrating its parameters closes {percent(parametric)} "
             "of the gap, the rest is noise."
         )
-    return "No effect is missing from the simulator: what is left between it and the joint is noise."
+    return f"{subject} from the simulator: what is left between it and the joint is noise."
 
 
 def _named_sentence(findings: Findings) -> str:
@@ -120,7 +137,15 @@ def _named_sentence(findings: Findings) -> str:
 def _cause_words(cause: Cause) -> str:
     if len(cause.members) > 1:
         return f"one of {listed(cause.members, last='or')} (this plan cannot tell them apart)"
+    if may_be_a_sum(cause):
+        sure = percent(cause.class_probability)
+        return f"{effect_words(cause.effect)}, or effects whose sum looks like it (probability {sure})"
     return f"{effect_words(cause.effect)} (probability {percent(cause.class_probability)})"
+
+
+def may_be_a_sum(cause: Cause) -> bool:
+    """Whether the pattern is named with more confidence than the effect: several others could add up to it."""
+    return len(cause.members) == 1 and cause.probability < NAMED_FROM <= cause.class_probability
 
 
 def _unknown_sentence(findings: Findings) -> str:
@@ -144,18 +169,41 @@ def nearest_words(unexplained: Unexplained) -> str:
 
 
 def percent(share: float) -> str:
-    """A share for people; the extremes are never rounded to certainty."""
+    """A share for people, never rounded to certainty or up to the probability from which a cause is named."""
     value = 100.0 * share
     if 99.0 < value < 100.0:
         return "more than 99 %"
     if 0.0 < value < 1.0:
         return "less than 1 %"
+    if share < NAMED_FROM and round(value) >= 100.0 * NAMED_FROM:
+        # The threshold of a name is not reached by rounding.
+        return f"{math.floor(10.0 * value) / 10.0:.1f} %"
     return f"{round(value)} %".replace("-", "\N{MINUS SIGN}")
+
+
+def chance_share(share: float) -> str:
+    """The closure by chance effects: where they make held-out runs worse, by how much says nothing."""
+    return percent(share) if share >= 0.0 else "nothing of it"
+
+
+def p_words(p_value: float | None) -> str:
+    """A p-value; far out its size is that of the model's tails and says nothing."""
+    if p_value is None:
+        return "not tested"
+    return f"p < {SMALLEST_P:g}" if p_value < SMALLEST_P else f"p = {p_value:.2g}"
 
 
 def arcsec(value: float | None) -> str:
     """Three digits of an error."""
     return "not known" if value is None else f"{value:.3g} arcsec"
+
+
+def by_reason(reasons: Mapping[str, str]) -> list[tuple[tuple[str, ...], str]]:
+    """Effects of one reason together, and the reason."""
+    grouped: dict[str, list[str]] = {}
+    for name, reason in reasons.items():
+        grouped.setdefault(reason, []).append(name)
+    return [(tuple(names), reason) for reason, names in grouped.items()]
 
 
 def hidden_effects(findings: Findings) -> tuple[str, ...]:
@@ -176,20 +224,46 @@ def summary_lines(findings: Findings) -> list[str]:
     rows += [("cause", _cause_row(cause)) for cause in findings.causes]
     if findings.unexplained.significant and findings.conclusion is Conclusion.NAMED:
         rows.append(("unexplained", "structure beside the named causes"))
-    rows += [
-        ("where", f"{percent(place.share)} of the structure: {cell_words(place.cell)}")
-        for place in significant_places(findings)[:SHOWN_PLACES]
-        if place.share >= SMALLEST_PLACE
-    ]
+    rows += _place_rows(findings)
     rows += _end_task_rows(findings)
     hidden = hidden_effects(findings)
     if hidden:
         rows.append(("not visible", f"{listed(hidden)}: re-calibration takes it up completely under this plan"))
     if findings.not_testable:
-        rows.append(("not testable", listed(list(findings.not_testable))))
+        rows += [
+            ("not testable", listed(names) + (f": {reason}" if reason else ""))
+            for names, reason in by_reason(findings.not_testable)
+        ]
     if findings.next_measurement:
-        rows.append(("measure next", prose(findings.next_measurement)))
+        name = "what to do" if findings.conclusion is Conclusion.DATA_FAULT else "measure next"
+        rows.append((name, prose(findings.next_measurement)))
+    rows += [("note", prose(note)) for note in findings.notes]
     return [f"{name:<17}{text}" for name, text in rows]
+
+
+def _place_rows(findings: Findings) -> list[tuple[str, str]]:
+    places = significant_places(findings)
+    if findings.conclusion is Conclusion.NONE:
+        return [("where", chance_words(places))] if places else []
+    large = [
+        place for place in findings.where if place.share >= (SMALLEST_PLACE if place.significant else LARGE_PLACE)
+    ]
+    return [
+        (
+            "where",
+            f"{percent(place.share)} of the structure: {cell_words(place.cell)}"
+            + ("" if place.significant else UNTESTED if place.p_value is None else BY_EVIDENCE_ONLY),
+        )
+        for place in large[:SHOWN_PLACES]
+    ]
+
+
+def chance_words(places: Sequence[Place]) -> str:
+    """What places that stand out mean where nothing was found."""
+    return (
+        f"{cell_words(places[0].cell)}: stands out in the map, as cells do now and then; the evidence as a whole "
+        "does not bear it out"
+    )
 
 
 def _gap_rows(findings: Findings) -> list[tuple[str, str]]:
@@ -225,6 +299,8 @@ def _cause_row(cause: Cause) -> str:
     label = f" ({cause.label})" if cause.label else ""
     others = [name for name in cause.members if name != cause.effect]
     beside = f"; under this plan not to be told from {listed(others, last='or')}" if others else ""
+    if may_be_a_sum(cause):
+        beside = f"; {percent(cause.class_probability)} with effects whose sum looks like it"
     closes = "" if cause.closes is None else f", closes {percent(cause.closes)}"
     return f"{effect_words(cause.effect)}{label}, probability {percent(cause.probability)}{closes}{beside}"
 
@@ -233,7 +309,12 @@ def _end_task_rows(findings: Findings) -> list[tuple[str, str]]:
     task = findings.end_task
     rows: list[tuple[str, str]] = []
     if not task.compensable:
-        rows.append(("compensation", f"not by a model of angle and temperature: {missing_words(task)}"))
+        rows.append(
+            (
+                "compensation",
+                f"not by a model of angle and temperature: {missing_words(task)}{doubt_words(findings)}",
+            )
+        )
     figures = (
         (task.none_arcsec, "without"),
         (task.simulator_arcsec, "with a model of the simulator as shipped"),
@@ -248,12 +329,25 @@ def _end_task_rows(findings: Findings) -> list[tuple[str, str]]:
 
 def missing_words(task: EndTask) -> str:
     """Why a model of angle and temperature cannot take off what was found."""
-    missing = task.missing_input or "an input"
-    if missing == "reference":
-        return "it is the reference's own error: measure it, do not compensate it"
-    if missing.startswith("nothing: "):
-        return missing.removeprefix("nothing: ")
-    return f"it would need the {missing.removeprefix('a ')}"
+    said: list[str] = []
+    inputs: list[str] = []
+    for missing in (task.missing_input or "another input").split(", "):
+        if missing == "reference":
+            said.append("it is the reference's own error: measure it, do not compensate it")
+        elif ": " in missing:
+            # Not an input that could be had: why there is none.
+            said.append(missing.partition(": ")[2])
+        else:
+            inputs.append(missing if missing.startswith(("a ", "an ", "the ")) else f"the {missing}")
+    if inputs:
+        said.append(f"it would need {' and '.join(inputs)}")
+    return "; ".join(said)
+
+
+def doubt_words(findings: Findings) -> str:
+    """That the answer about compensation stands and falls with one member of a class; "" where it does not."""
+    doubtful = [cause for cause in findings.causes if cause.named and cause.probability < NAMED_FROM]
+    return f" (if it is {listed([cause.effect for cause in doubtful])} indeed)" if doubtful else ""
 
 
 UNITS: tuple[tuple[str, str], ...] = (
