@@ -9,13 +9,16 @@ cross-validation, of the fit and of the fit before it.
 """
 
 import argparse
+import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from multiprocessing import Pool
+from pathlib import Path
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
+from tests.benchmarks.diagnosis_check.marks import meets, withheld_truth
 
 from trueangle.contract.calibration import read_campaign
 from trueangle.contract.document import document_from_plain
@@ -85,11 +88,14 @@ def judged(task: tuple[int, str]) -> list[Seen]:
     if error == "bent":
         problem = bent(problem, rng)
     verdict = verdict_of(problem, attribute(problem), design_check(problem.without_errors()))
-    accepted = {name for effect in case.truth.effects for name in effect.accepted_names}
+    seen = [effect for effect in case.truth.effects if effect.visible]
+    if error == "withheld":
+        seen = [withheld_truth(effect) for effect in seen]
     return [
         Seen(
             grounds=cause.grounds,
-            right=bool(accepted & set(cause.effect_class)),
+            right=cause.effect in case.truth.carried_together
+            or any(meets({"effect": cause.effect, "class": cause.effect_class}, effect) for effect in seen),
             what=f"{seed} {error} {enr:g} {sorted(true)} -> {cause.effect}",
         )
         for cause in verdict.causes
@@ -146,11 +152,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--cases", type=int, default=600)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--plan", choices=("paper", "rich"), default="paper")
+    parser.add_argument("--rich-share", type=float, default=0.1, help="part of the cases on the rich plan")
+    parser.add_argument("--save", type=Path, help="the names and their grounds, one JSON line each")
     options = parser.parse_args(arguments)
-    tasks = [(options.seed * 1_000_000 + i, options.plan) for i in range(options.cases)]
+    every = round(1.0 / options.rich_share) if options.rich_share > 0 else options.cases + 1
+    tasks = [
+        (options.seed * 1_000_000 + i, "rich" if i % every == every - 1 else "paper") for i in range(options.cases)
+    ]
     with Pool(options.processes) as pool:
         seen = [each for many in pool.imap_unordered(judged, tasks) for each in many]
+    if options.save:
+        options.save.write_text("".join(json.dumps(asdict(each)) + "\n" for each in seen), "utf-8")
     x = np.array([features(each.grounds) for each in seen])
     right = np.array([float(each.right) for each in seen])
     rng = np.random.default_rng(0)

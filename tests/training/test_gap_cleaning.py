@@ -77,3 +77,11 @@ def test_steps_in_many_runs_are_structure_and_no_bursts() -> None:
     problem = _with(dict.fromkeys(rows, 6.0))
     found = _cleaned(problem)
     assert np.mean(found.replaced[rows]) < 0.15
+
+
+@pytest.mark.parametrize(("first", "last"), [(0, 9), (9, 23), (13, 23), (15, 23)])
+def test_a_step_in_one_run_is_no_burst(first: int, last: int) -> None:
+    # Counts lost before reading `last`, or from reading `first` on: the run's own offset takes up which.
+    rows = range(FACES * 6 + first, FACES * 6 + last)
+    found = _cleaned(_with(dict.fromkeys(rows, 7.0)))
+    assert np.mean(found.replaced[list(rows)]) < 0.2

@@ -132,3 +132,25 @@ def test_two_effects_are_both_found() -> None:
 def test_a_small_campaign_is_answered_too() -> None:
     problem = _problem(34, temperatures_c=(20.0,), repeats=2)
     assert attribute(problem).members == ()
+
+
+def test_what_is_small_beside_the_noise_is_left_alone_however_many_readings_show_it() -> None:
+    many = {"repeats": 24, "temperatures_c": (20.0, 30.0), "colour": 0.0}
+    found = [
+        attribute(_problem(35, lambda theta, t, run, size=size: size * np.cos(5 * theta), **many)).members
+        for size in (0.04, 0.14)
+    ]
+    # 0.057 and 0.2 of the noise; sqrt(1104) = 33 readings' worth make both of them evident.
+    assert found[0] == ()
+    assert [member.effect for member in found[1]] == ["graduation_error"]
+
+
+def test_counts_lost_once_are_found_beside_a_pattern_with_most_of_the_energy() -> None:
+    def pattern(theta: np.ndarray, t: np.ndarray, run: np.ndarray) -> np.ndarray:
+        lost = (run == 7) & (theta > 2.6)
+        return 0.25 * (t - 20) * np.cos(4 * theta) + 3.0 * lost
+
+    members = attribute(_problem(36, pattern)).members
+    assert {member.effect for member in members} == {"thermal_graduation", "count_loss"}
+    (lost,) = [member for member in members if member.effect == "count_loss"]
+    assert lost.share < 0.07

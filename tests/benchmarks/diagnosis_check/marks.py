@@ -29,7 +29,7 @@ def marks_of(wish: Wish, truth: Truth, answer: Answer) -> Json:
     causes: list[Json] = report.get("causes", [])
     seen = [effect for effect in truth.effects if effect.visible]
     if truth.stratum == "withheld":
-        seen = [_withheld(effect) for effect in seen]
+        seen = [withheld_truth(effect) for effect in seen]
     named = [cause for cause in causes if cause["class_probability"] >= CONFIDENT]
     return {
         "case_id": truth.case_id,
@@ -69,7 +69,7 @@ def _stratum(truth: Truth, seen: list[EffectTruth]) -> str:
     return "invisible" if truth.stratum in ("single", "withheld") and not seen else truth.stratum
 
 
-def _withheld(effect: EffectTruth) -> EffectTruth:
+def withheld_truth(effect: EffectTruth) -> EffectTruth:
     """An effect that the library lacks: unknown, or whatever else could carry it."""
     others = tuple(name for name in effect.accepted_names if name != effect.name)
     return replace(effect, in_library=False, accepted_names=others)
@@ -87,10 +87,10 @@ def _judged(
     first = causes[0] if causes else None
     return {
         "claims": report["verdict"] in ("named", "unknown"),
-        "right_class": bool(named) and any(_meets(named[0], effect) for effect in seen),
+        "right_class": bool(named) and any(meets(named[0], effect) for effect in seen),
         "right_effect": bool(named) and named[0]["effect"] in {effect.name for effect in seen},
         "exact": _exact(seen, named),
-        "extra": sum(not any(_meets(cause, effect) for effect in seen) for cause in named),
+        "extra": sum(not any(meets(cause, effect) for effect in seen) for cause in named),
         "confident_wrong": any(_wrong(cause, seen, truth.carried_together) for cause in causes),
         "padded": bool(named) and _padded(named[0], seen),
         "class_size": len(named[0]["class"]) if named else None,
@@ -102,13 +102,13 @@ def _judged(
         "fault_named": report["verdict"] == "data_fault",
         "fault_kind": _fault_kind(truth, report),
         "first_probability": first["class_probability"] if first else None,
-        "first_right": bool(first) and any(_meets(first, effect) for effect in seen) if first else None,
+        "first_right": bool(first) and any(meets(first, effect) for effect in seen) if first else None,
         "first_effect_probability": first["probability"] if first else None,
         "first_effect_right": first["effect"] in {effect.name for effect in seen} if first else None,
     }
 
 
-def _meets(cause: Json, effect: EffectTruth) -> bool:
+def meets(cause: Json, effect: EffectTruth) -> bool:
     """The effect itself is in the class; for what is in no library, an effect that could carry it leads."""
     if effect.in_library:
         return effect.name in cause["class"]
@@ -131,7 +131,7 @@ def _wrong(cause: Json, seen: list[EffectTruth], carriers: tuple[str, ...]) -> b
         for effect in seen
     ):
         return True
-    return cause["class_probability"] >= CONFIDENT and not any(_meets(cause, effect) for effect in seen)
+    return cause["class_probability"] >= CONFIDENT and not any(meets(cause, effect) for effect in seen)
 
 
 def _exact(seen: list[EffectTruth], named: list[Json]) -> bool:
@@ -139,9 +139,9 @@ def _exact(seen: list[EffectTruth], named: list[Json]) -> bool:
     if len(named) != len(seen):
         return False
     if len(seen) == 2:
-        straight = _meets(named[0], seen[0]) and _meets(named[1], seen[1])
-        return straight or (_meets(named[0], seen[1]) and _meets(named[1], seen[0]))
-    return all(_meets(cause, effect) for cause, effect in zip(named, seen, strict=True))
+        straight = meets(named[0], seen[0]) and meets(named[1], seen[1])
+        return straight or (meets(named[0], seen[1]) and meets(named[1], seen[0]))
+    return all(meets(cause, effect) for cause, effect in zip(named, seen, strict=True))
 
 
 def _padded(cause: Json, seen: list[EffectTruth]) -> bool:

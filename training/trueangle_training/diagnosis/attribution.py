@@ -5,23 +5,33 @@ noise at first, or noise for an effect, is seen for what it is.
 """
 
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trueangle_training.diagnosis.cleaning import Cleaned, Dictionary, clean, wide_dictionary
+from trueangle_training.diagnosis.design_check import CARRIED
 from trueangle_training.diagnosis.evidence import (
     Accepted,
     Evidence,
     evidence_of,
     fit,
+    joint_log_evidence,
     scores,
     stacked_columns,
 )
 from trueangle_training.diagnosis.noise import NoiseModel, estimate_noise, run_kinds
 from trueangle_training.diagnosis.problem import Problem
 from trueangle_training.diagnosis.random_draws import are_no_draws
-from trueangle_training.diagnosis.selection import Families, Selection, families_of, family_evidence, select
+from trueangle_training.diagnosis.selection import (
+    NEAR_NATS,
+    Families,
+    Selection,
+    families_of,
+    family_evidence,
+    select,
+)
 from trueangle_training.diagnosis.spectra import RunTransform, run_transform
 
 Floats = NDArray[np.float64]
@@ -32,6 +42,16 @@ NAMED_IN_SPITE_OF_GENERIC = 0.20
 LEFT_TO_GENERIC = 0.10
 """Share that a choice among the library alone may leave to the best generic pattern and still be the answer."""
 MOST_NAMES_WITHOUT_GENERIC = 2
+NARROW = 4
+"""Columns of a pattern: an order that drifts over the campaign has four."""
+
+
+class _Way(Enum):
+    """Among which patterns the members were chosen."""
+
+    BY_EVIDENCE = "all"
+    BY_NAMED_SHARE = "the library's with a curve of their own"
+    WITHOUT_DRAWS = "all that are not drawn in each run"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -82,6 +102,8 @@ class Attribution:
     """Of each member, all families given the other members, best first."""
     by_named_share: bool
     """The library alone explains so much that generic patterns were set aside."""
+    draws_set_aside: bool
+    """Patterns drawn in each run were set aside: what they could carry follows the conditions of the runs."""
     left_to_generic: float
     """Share that the best generic pattern would take beside the members."""
     residual_energy: float
@@ -116,12 +138,12 @@ def attribute(problem: Problem) -> Attribution:
     """Explain the errors of a problem."""
     state = _State.of(problem)
     evidence, families, noise, cleaned = state.weighed(problem, None)
-    selection, by_share = _chosen(problem, evidence, families)
+    selection, way = _chosen(problem, evidence, families)
     if selection.accepted:
         mean = np.sum(_curves(problem, evidence, selection), axis=0)
         evidence, families, noise, cleaned = state.weighed(problem, mean)
-        selection, by_share = _chosen(problem, evidence, families)
-    return _attribution(problem, evidence, families, selection, noise, cleaned, by_share)
+        selection, way = _chosen(problem, evidence, families)
+    return _attribution(problem, evidence, families, selection, noise, cleaned, way)
 
 
 def weighed_evidence(problem: Problem) -> tuple[Evidence, Families, NoiseModel]:
@@ -185,8 +207,8 @@ def _curves(problem: Problem, evidence: Evidence, selection: Selection) -> list[
     return curves
 
 
-def _chosen(problem: Problem, evidence: Evidence, families: Families) -> tuple[Selection, bool]:
-    """The selection, and whether it is of the library alone although other patterns do better.
+def _chosen(problem: Problem, evidence: Evidence, families: Families) -> tuple[Selection, "_Way"]:
+    """The selection, and what was set aside for it.
 
     A wide pattern beats an effect with several events or a slightly bent shape, be it generic or drawn anew in
     each run; where two names with a curve of their own explain nearly all, the names are the answer.
@@ -196,16 +218,49 @@ def _chosen(problem: Problem, evidence: Evidence, families: Families) -> tuple[S
     selection = select(evidence, families, everything)
     drawn = any(evidence.drawn[each.block] for each in selection.accepted)
     if _generic_share(families, selection) <= NAMED_IN_SPITE_OF_GENERIC and not drawn:
-        return selection, False
+        return selection, _Way.BY_EVIDENCE
     wide = families.generic[families.of_block] | evidence.drawn
     named = select(evidence, families, ~wide)
     effects = {problem.hypotheses[evidence.hypothesis[each.block]].effect for each in named.accepted}
     few = 0 < len(effects) <= MOST_NAMES_WITHOUT_GENERIC
-    if few and _left_to(evidence, families, named, wide) < LEFT_TO_GENERIC:
-        return named, True
+    undrawn = select(evidence, families, ~evidence.drawn) if drawn else selection
+    nearly_all = few and _left_to(evidence, families, named, wide) < LEFT_TO_GENERIC
+    if nearly_all and not _plainly_better(evidence, families, undrawn, named):
+        return named, _Way.BY_NAMED_SHARE
     if any(_is_orderly(problem, evidence, selection, each) for each in selection.accepted):
-        return select(evidence, families, ~evidence.drawn), False
-    return selection, False
+        return undrawn, _Way.WITHOUT_DRAWS
+    return selection, _Way.BY_EVIDENCE
+
+
+def _plainly_better(evidence: Evidence, families: Families, selection: Selection, named: Selection) -> bool:
+    """Whether a narrow generic pattern explains the errors better than the names do, and not in other words.
+
+    A wide one wins by its width; a narrow one only by being nearer to the truth.
+    """
+    if _judged(evidence, families, selection) <= _judged(evidence, families, named) + NEAR_NATS:
+        return False
+    found = fit(evidence, selection.accepted)
+    name = named.accepted[0].block
+    mains = evidence.column_range(name)[: evidence.mains[name]]
+    of_name = evidence.product(name)[: evidence.mains[name]]
+    for each in selection.accepted:
+        narrow = evidence.mains[each.block] <= NARROW and not evidence.drawn[each.block]
+        if not families.generic[families.of_block[each.block]] or not narrow:
+            continue
+        own = evidence.column_range(each.block)
+        coefficients = found.coefficients[np.isin(found.columns, own)]
+        energy = float(coefficients @ evidence.product(each.block)[:, own] @ coefficients)
+        shared = of_name[:, own] @ coefficients
+        carried = float(shared @ np.linalg.lstsq(of_name[:, mains], shared, rcond=1e-9)[0])
+        if len(named.accepted) > 1 or carried < CARRIED * energy:
+            return True
+    return False
+
+
+def _judged(evidence: Evidence, families: Families, selection: Selection) -> float:
+    """Log evidence of a whole selection, penalties taken off."""
+    penalty = sum(float(families.penalty[families.of_block[each.block]]) for each in selection.accepted)
+    return joint_log_evidence(evidence, selection.accepted) - penalty
 
 
 def _is_orderly(problem: Problem, evidence: Evidence, selection: Selection, member: Accepted) -> bool:
@@ -247,7 +302,7 @@ def _attribution(
     selection: Selection,
     noise: NoiseModel,
     cleaned: Cleaned,
-    by_share: bool,
+    way: _Way,
 ) -> Attribution:
     found = fit(evidence, selection.accepted)
     members: list[Member] = []
@@ -286,7 +341,8 @@ def _attribution(
         outlier_rows=np.flatnonzero(cleaned.replaced),
         candidates=rivals[0] if rivals else _candidates(problem, evidence, families, []),
         rivals=rivals,
-        by_named_share=by_share,
+        by_named_share=way is _Way.BY_NAMED_SHARE,
+        draws_set_aside=way is not _Way.BY_EVIDENCE,
         left_to_generic=(
             _left_to(evidence, families, selection, families.generic[families.of_block])
             if selection.accepted

@@ -4,7 +4,9 @@ A wide dictionary of smooth patterns is taken off first, so that an effect is no
 comes again at the same place of the grating, and a run that is odd as a whole, are structure and stay.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,11 +36,9 @@ SMOOTHEST_OWN_PATTERN = 12
 """Readings of a run from which order 1 and a slope of its own are taken off."""
 LEAST_LEFT = 0.2
 LONGEST_BURST = 8
-"""Readings. One that lasts to the end of its run could be lost counts as well: nothing is claimed from it."""
+"""Readings."""
 LONGEST_AT_END = 4
-"""Readings before the end of a run that are a burst however many runs end so."""
-LARGEST_AT_END = 8.0
-"""Times the standard deviation, of such a longer one."""
+"""Readings at the beginning or end of a run that are a burst and no step."""
 BURST_GAIN = 10.0
 """Half the energy of a burst in units of the variance: nats that taking it out wins."""
 RUNS_WITH_BURST = 0.12
@@ -196,16 +196,29 @@ def _bursts(residual: Floats, problem: Problem, scale_group: Integers) -> list[_
             values[np.isin(rows, burst.rows)] -= burst.height
             values -= np.mean(values)
     odd = {burst.run for burst in found if not burst.ordinary}
-    # One step near the end of one run may be a burst; the same in two runs, or one that is far too large, is none.
-    late = [burst for burst in found if burst.rows[-1] == runs[burst.run][-1] and burst.rows.size > LONGEST_AT_END]
-    at_end = {burst.run for burst in late}
-    large = {burst.run for burst in late if abs(burst.height) > LARGEST_AT_END * variance[burst.rows[0]] ** 0.5}
-    odd |= large
-    if len(at_end) > 1:
-        odd |= at_end
+    # With the offsets free a burst that begins or ends its run is a step, and so are two that go on in each other.
+    odd |= {burst.run for burst in found if _is_step(burst, runs[burst.run])}
+    odd |= {
+        one.run
+        for one, other in pairwise(sorted(found, key=lambda burst: (burst.run, _place(burst, runs)[0])))
+        if one.run == other.run
+        and _place(one, runs)[1] + 1 == _place(other, runs)[0]
+        and one.height * other.height > 0
+    }
     found = [burst for burst in found if burst.run not in odd]
     few = max(1, round(RUNS_WITH_BURST * len(runs)))
     return found if len({burst.run for burst in found} | odd) <= few else []
+
+
+def _place(burst: _Burst, runs: Sequence[Integers]) -> tuple[int, int]:
+    """First and last reading of a burst, counted in its run."""
+    places = np.flatnonzero(np.isin(runs[burst.run], burst.rows))
+    return int(places[0]), int(places[-1])
+
+
+def _is_step(burst: _Burst, rows: Integers) -> bool:
+    at_an_end = burst.rows[0] == rows[0] or burst.rows[-1] == rows[-1]
+    return bool(at_an_end and burst.rows.size > LONGEST_AT_END)
 
 
 def _burst_of_run(values: Floats, rows: Integers, number: int, variance: float) -> _Burst | None:

@@ -99,6 +99,8 @@ class Evidence:
     """[blocks]: share of the energy of the main columns that re-calibration leaves."""
     drawn: NDArray[np.bool_]
     """[blocks]: drawn anew in each run, and so alike to noise that was taken for too small there."""
+    reach: Floats
+    """[blocks]: of what happens in some runs, share of the readings that these runs have; else 1."""
     groups: tuple[tuple[Integers, Integers], ...]
     """Blocks of one width, and their columns [blocks, width]."""
     grams: tuple[Floats, ...]
@@ -182,6 +184,15 @@ def evidence_of(
         scale=scale,
         visible=visible[kept],
         drawn=np.array([problem.hypotheses[i].nature is Nature.RANDOM for i in kept], dtype=bool),
+        reach=np.array(
+            [
+                # The transform and the whitening of a run fill it, and leave the other runs at 0.
+                float(np.mean(columns[start[i] : start[i] + mains[i]].any(axis=0)))
+                if problem.hypotheses[i].nature is Nature.EVENT
+                else 1.0
+                for i in kept
+            ]
+        ),
         groups=tuple(groups),
         grams=tuple(grams),
     )
@@ -286,6 +297,19 @@ def _log_bayes_factors(gram: Floats, score: Floats, mains: Integers) -> tuple[Fl
     doubt -= np.log(np.sum(np.exp(doubt), axis=0))
     colour = safe + np.log(np.sum(np.exp(log_bf - safe + doubt), axis=0) + 1e-300)
     return np.where(np.isfinite(top), averaged, -np.inf), TAUS[best], averaged - np.maximum(colour, 0.0)
+
+
+def joint_log_evidence(evidence: Evidence, accepted: Sequence[Accepted]) -> float:
+    """Log Bayes factor of all accepted blocks together against noise alone, each with its own prior size."""
+    if not accepted:
+        return 0.0
+    own = np.concatenate([evidence.column_range(each.block) for each in accepted])
+    gram = np.concatenate([evidence.product(each.block) for each in accepted])[:, own]
+    prior = _prior_precision(evidence, accepted)
+    precision = gram + np.diag(prior)
+    score = evidence.score[own]
+    volume = float(np.linalg.slogdet(precision)[1] - np.sum(np.log(prior)))
+    return 0.5 * (float(score @ np.linalg.solve(precision, score)) - volume)
 
 
 def fit(evidence: Evidence, accepted: Sequence[Accepted]) -> Fit:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from trueangle_training.diagnosis.axes import Axes, axes_of
 from trueangle_training.effects.cells import Cell, Direction, Slope, Temperature, Time
 from trueangle_training.effects.conditions import Conditions
-from trueangle_training.effects.effect import Hypothesis, LibraryEffect, Nature
+from trueangle_training.effects.effect import Hypothesis, LibraryEffect, Nature, Stage
 
 Floats = NDArray[np.float64]
 
@@ -57,7 +57,10 @@ class _Factor:
 def generic_hypotheses(conditions: Conditions, library: Mapping[str, LibraryEffect]) -> Iterator[Hypothesis]:
     """All patterns that this plan can show."""
     axes = axes_of(conditions)
-    taken = frozenset(cell for effect in library.values() for cell in effect.cells)
+    # A sensor's error is one given pattern within its cells, it does not fill them.
+    taken = frozenset(
+        cell for effect in library.values() if effect.stage is not Stage.SENSOR for cell in effect.cells
+    )
     for pattern in (
         *_plain(axes, conditions, taken),
         *_bent_in_temperature(axes),
@@ -107,12 +110,13 @@ def _times(factor: Floats, columns: Floats) -> Floats:
     return (factor[:, :, None] * columns[:, None, :]).reshape(columns.shape[0], -1)
 
 
-def _factors(axes: Axes) -> Iterator[_Factor]:
+def _factors(axes: Axes, conditions: Conditions) -> Iterator[_Factor]:
     """The conditions whose product with an order is a cell of its own."""
     yield _Factor(name="constant", columns=np.ones((axes.angle_rad.size, 1)))
-    x = axes.temperature
-    if x is not None:
-        yield _Factor(name="linear in temperature", columns=x[:, None], temperature="linear")
+    if axes.temperature is not None and conditions.temperature_c is not None:
+        # About the temperature at which an effect of the library vanishes, or it would leave a constant part.
+        above_c = conditions.temperature_c - conditions.base_temperature_c
+        yield _Factor(name="linear in temperature", columns=above_c[:, None], temperature="linear")
     if axes.direction is not None:
         yield _Factor(name="odd in direction", columns=axes.direction[:, None], direction="odd")
     if axes.speed is not None and axes.velocity is not None:
@@ -132,7 +136,7 @@ def _factors(axes: Axes) -> Iterator[_Factor]:
 def _plain(axes: Axes, conditions: Conditions, taken: frozenset[Cell]) -> Iterator[Hypothesis]:
     highest = orders_seen(conditions)
     lines = conditions.lines_per_rev
-    for factor in _factors(axes):
+    for factor in _factors(axes, conditions):
         constant = factor.name == "constant"
         named = [(str(k), float(k)) for k in range((highest if constant else min(highest, HIGHEST_ORDER)) + 1)]
         if constant:

@@ -16,6 +16,10 @@ Floats = NDArray[np.float64]
 PERMUTATIONS = 4000
 GROWTH_P = 0.001
 """Of one condition; three are tested."""
+SHAPE_DOUBT = 0.1
+"""RMS that a bent shape leaves over that of the shape."""
+LEAST_NOISE = 0.25
+"""Of a run's variance that is noise whatever the shape leaves."""
 LEAST_GROWTH = 1.15
 """Standard deviation at one end of the range over that at the other."""
 LARGEST_RATIO = 4096
@@ -50,15 +54,22 @@ class Growth:
         return self.p_value <= GROWTH_P and self.ratio >= LEAST_GROWTH
 
 
-def noise_growth(problem: Problem, noise: NoiseModel, *, seed: int = 0) -> tuple[Growth, ...]:
-    """Every condition that varies between runs, the most significant first; none with too few runs."""
+def noise_growth(
+    problem: Problem, noise: NoiseModel, explained_arcsec: Floats, *, seed: int = 0
+) -> tuple[Growth, ...]:
+    """Every condition that varies between runs, the most significant first; none with too few runs.
+
+    What a found curve ([readings]) leaves over where it is a little bent is no noise, and is taken off first.
+    """
     rows = noise.transform.rows
     known = np.isfinite(noise.run_variance) & (noise.run_freedom >= FEWEST_DEGREES) & (noise.run_variance > 0)
     if int(known.sum()) < FEWEST_RUNS:
         return ()
     # The logarithm of a chi-squared has the variance 2 / f, near enough from four degrees of freedom on.
     weight = noise.run_freedom[known] / (noise.run_freedom[known] + 8.0)
-    log_sigma = 0.5 * np.log(noise.run_variance[known])
+    left = SHAPE_DOUBT**2 * np.array([float(np.var(explained_arcsec[r])) for r in rows])
+    variance = np.maximum(noise.run_variance - left, LEAST_NOISE * noise.run_variance)
+    log_sigma = 0.5 * np.log(variance[known])
     kinds = run_kinds(problem.conditions, noise.transform)[known]
     rng = np.random.default_rng(seed)
     orders = _exchanged(kinds, rng)

@@ -137,8 +137,7 @@ def _cause(problem: Problem, attribution: Attribution, design: Design, name: str
     own = next((c.log_evidence for c in rivals if c.effect == name), members[0].log_evidence)
     effect_class = _class(problem, design, name, carried, rivals, own)
     grounds = Grounds(
-        margin=own
-        - _best_outside(problem, design, rivals, effect_class, curve, by_named_share=attribution.by_named_share),
+        margin=own - _best_outside(problem, design, _standing(problem, attribution, rivals), effect_class, curve),
         log_evidence=own,
         left=attribution.left_to_generic,
         by_named_share=attribution.by_named_share,
@@ -180,30 +179,38 @@ def _class(
     return (name, *found)
 
 
+def _standing(problem: Problem, attribution: Attribution, rivals: Sequence[Candidate]) -> list[Candidate]:
+    """The rivals that were not set aside when the members were chosen."""
+    return [
+        rival
+        for rival in rivals
+        if not (attribution.by_named_share and rival.effect is None)
+        and not (
+            attribution.draws_set_aside and problem.hypotheses[rival.hypothesis_index].nature is Nature.RANDOM
+        )
+    ]
+
+
 def _best_outside(
     problem: Problem,
     design: Design,
     rivals: Sequence[Candidate],
     effect_class: Sequence[str],
     curve: Floats,
-    *,
-    by_named_share: bool,
 ) -> float:
     """Log evidence of the best rival that is another answer.
 
-    A generic pattern that carries as much of the found part as the class does is the same answer in other words.
+    Nothing at all, with a log evidence of 0, is one. A generic pattern that carries as much of the found part as
+    the class does is the same answer in other words.
     """
     for rival in rivals:
         if rival.effect in effect_class:
-            continue
-        if by_named_share and problem.hypotheses[rival.hypothesis_index].effect is None:
-            # Set aside, as it explains hardly more than the names do.
             continue
         if rival.effect is None and np.isfinite(rival.log_evidence):
             columns = problem.hypotheses[rival.hypothesis_index].main
             if design.spans.carried_by(columns, curve) >= CARRIED:
                 continue
-        return rival.log_evidence if np.isfinite(rival.log_evidence) else 0.0
+        return max(rival.log_evidence, 0.0)
     return 0.0
 
 
@@ -230,11 +237,14 @@ def _may_be_a_sum(problem: Problem, design: Design, members: Sequence[Member]) -
 def _growth(problem: Problem, attribution: Attribution) -> Cause | None:
     if "noise_growth" not in problem.library:
         return None
-    tested = noise_growth(problem, attribution.noise)
+    tested = noise_growth(problem, attribution.noise, attribution.explained(problem))
     if not tested or not tested[0].significant:
         return None
     best = tested[0]
     if attribution.members and best.p_value > GROWTH_BESIDE_OTHERS_P:
+        return None
+    if any(member.effect is None and member.log_evidence >= WEAK_GENERIC for member in attribution.members):
+        # What no effect explains is not known well enough to tell noise from what it leaves over.
         return None
     # Two or three conditions were tried; a ratio near 1.15 is at the edge of what exchanging runs can tell.
     probability = float(np.clip(1.0 - 40.0 * best.p_value, 0.5, 0.97))

@@ -17,14 +17,12 @@ class Timeline:
     """What happened between the readings too: the heat of a joint does not begin anew with each run.
 
     Arrays of shape [knots], times not falling; two knots at one time are a step. Between knots the temperature is
-    linear in time and the speed constant.
+    linear in time.
     """
 
     time_s: Floats
     temperature_c: Floats
     """Of the sensor beside the reading head."""
-    speed_deg_s: Floats
-    """Magnitude, since the knot before."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

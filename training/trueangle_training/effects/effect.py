@@ -81,6 +81,8 @@ class Hypothesis:
     """Expected size of the wiggle's coefficients relative to the main ones."""
     shape: Mapping[str, float] = field(default_factory=dict[str, float])
     """The parameters that are not linear, such as time_constant_s."""
+    doubt_nats: float = 0.0
+    """What speaks against it before a reading is seen, the same for all shapes of an effect."""
     family: str = ""
     """Shapes of one family share one prior probability; "" stands for the effect's name (of a generic pattern: its
     cell without the order)."""

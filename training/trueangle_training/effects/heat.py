@@ -32,7 +32,7 @@ class BetweenRuns(Enum):
 def timeline(conditions: Conditions, between: BetweenRuns) -> Timeline | None:
     """The known time line, or one inferred from the readings; None where times or temperatures are missing.
 
-    An inferred one begins at time 0 in equilibrium at the base temperature. Between runs the joint stands still.
+    An inferred one begins at time 0 in equilibrium at the base temperature.
     """
     if conditions.timeline is not None:
         return conditions.timeline
@@ -41,11 +41,8 @@ def timeline(conditions: Conditions, between: BetweenRuns) -> Timeline | None:
         return None
     order = np.argsort(time_s, kind="stable")
     time_s, temperature_c, run = time_s[order], temperature_c[order], conditions.run[order]
-    velocity_deg_s = conditions.complete("velocity_deg_s")
-    speed_deg_s = np.zeros(time_s.size) if velocity_deg_s is None else np.abs(velocity_deg_s[order])
     gap = np.ones(time_s.size, dtype=bool)
     gap[1:] = (np.diff(run) != 0) | (np.diff(time_s) > NEW_RUN_GAP_S)
-    speed_deg_s = np.where(gap, 0.0, speed_deg_s)
     began_s = min(0.0, float(time_s[0]))
     if between is BetweenRuns.STEP:
         at = np.flatnonzero(gap)
@@ -53,11 +50,9 @@ def timeline(conditions: Conditions, between: BetweenRuns) -> Timeline | None:
         # The step stands at the time of the reading before it, with the temperature of the one after it.
         time_s = np.insert(time_s, at, before_s)
         temperature_c = np.insert(temperature_c, at, temperature_c[at])
-        speed_deg_s = np.insert(speed_deg_s, at, 0.0)
     return Timeline(
         time_s=np.concatenate([[began_s], time_s]),
         temperature_c=np.concatenate([[conditions.base_temperature_c], temperature_c]),
-        speed_deg_s=np.concatenate([[0.0], speed_deg_s]),
     )
 
 
@@ -80,30 +75,22 @@ def lagged_temperature_c(conditions: Conditions, time_constant_s: float, between
 def motion_heat_deg_s(conditions: Conditions, time_constant_s: float, power: float = 1.0) -> Floats | None:
     """|speed|^power smoothed with the time constant: what it would be in the long run, shape [readings].
 
-    A standing joint that is turned from stop to stop counts as standing: at some degrees per second friction
-    leaves milliwatts.
+    The speed is the mean one from reading to reading of a run, so that a joint that is turned from stop to stop
+    warms too; over a pause and between runs, where the turns need not be counted on, it is taken to stand.
     """
-    line = timeline(conditions, BetweenRuns.STEP) if conditions.timeline is not None else _motion_only(conditions)
-    if line is None or conditions.time_s is None:
-        return None
-    step_s = np.maximum(np.diff(line.time_s, prepend=line.time_s[0]), 0.0)
-    kept = np.exp(-step_s / time_constant_s)
-    inflow = -np.expm1(-step_s / time_constant_s) * line.speed_deg_s**power
-    kept[0] = 0.0
-    return _at_readings(conditions.time_s, line.time_s, first_order(kept, inflow))
-
-
-def _motion_only(conditions: Conditions) -> Timeline | None:
-    """The time line of a campaign whose temperatures need not be known."""
-    time_s, velocity_deg_s = conditions.complete("time_s"), conditions.complete("velocity_deg_s")
-    if time_s is None or velocity_deg_s is None:
+    time_s = conditions.complete("time_s")
+    if time_s is None:
         return None
     order = np.argsort(time_s, kind="stable")
-    time_s, run = time_s[order], conditions.run[order]
-    moving = np.zeros(time_s.size, dtype=bool)
-    moving[1:] = (np.diff(run) == 0) & (np.diff(time_s) <= NEW_RUN_GAP_S)
-    speed_deg_s = np.where(moving, np.abs(velocity_deg_s[order]), 0.0)
-    return Timeline(time_s=time_s, temperature_c=np.zeros(time_s.size), speed_deg_s=speed_deg_s)
+    step_s = np.diff(time_s[order], prepend=time_s[order[0]])
+    turned_deg = np.abs(np.diff(conditions.angle_deg[order], prepend=conditions.angle_deg[order[0]]))
+    moving = (step_s > 0) & (step_s <= NEW_RUN_GAP_S)
+    moving[1:] &= np.diff(conditions.run[order]) == 0
+    speed_deg_s = np.divide(turned_deg, step_s, out=np.zeros_like(step_s), where=moving)
+    kept = np.exp(-step_s / time_constant_s)
+    inflow = -np.expm1(-step_s / time_constant_s) * speed_deg_s**power
+    kept[0] = 0.0
+    return _at_readings(time_s, time_s[order], first_order(kept, inflow))
 
 
 def _at_readings(time_s: Floats, knots_s: Floats, state: Floats) -> Floats:

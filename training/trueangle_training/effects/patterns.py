@@ -97,6 +97,7 @@ def driven(
     wiggle: Floats | None = None,
     wiggle_size: float = 0.0,
     shape: Mapping[str, float] | None = None,
+    doubt_nats: float = 0.0,
 ) -> Hypothesis:
     """The hypothesis that some orders are there, following `driver` where one is given."""
     return Hypothesis(
@@ -108,6 +109,7 @@ def driven(
         wiggle=no_columns(len(conditions)) if wiggle is None else wiggle,
         wiggle_size=0.0 if wiggle is None else wiggle_size,
         shape={} if shape is None else shape,
+        doubt_nats=doubt_nats,
     )
 
 

@@ -143,7 +143,7 @@ def _mechanical_shapes(
     sense = schedule.direction[:, None].astype(np.float64)
     yield "hysteresis", np.column_stack([sense, sense * once])
     yield "hysteresis", np.column_stack([sense, sense * twice])
-    for length_deg in (10.0, 15.0, 25.0, 40.0, 60.0):
+    for length_deg in (10.0, 15.0, 25.0, 40.0, 60.0, 90.0, 120.0):
         yield "windup", friction_at_readings(schedule, length_deg=length_deg)[:, None]
     rolled = np.deg2rad(schedule.path_angle_deg[schedule.reading_at])
     for ratio in np.arange(0.3, 6.0, 0.1):
@@ -151,6 +151,7 @@ def _mechanical_shapes(
             yield "bearing_wobble", np.column_stack([np.cos(ratio * rolled), np.sin(ratio * rolled)])
     load = schedule.load_nm[:, None] / float(schedule.load_nm.max()) * ones
     yield "load_deflection", np.column_stack([load, load * once])
+    yield "load_deflection", np.column_stack([load, load * twice])
     speed = schedule.velocity_deg_s[:, None]
     if np.ptp(speed) > 0:
         yield "read_latency", speed / float(np.abs(speed).max())

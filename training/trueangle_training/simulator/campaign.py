@@ -156,14 +156,11 @@ def _timeline(joint: Joint, plan: Plan, ways: Sequence[Leg], temperature_c: Floa
     """From equilibrium at the base temperature on; ContractError where a soak ends before the chamber is there."""
     time_s: list[Floats] = [np.zeros(1)]
     knot_c: list[Floats] = [np.array([joint.base_temperature_c])]
-    speed_deg_s: list[Floats] = [np.zeros(1)]
     faults: list[Fault] = []
     first = 0
     for leg in ways:
         own_c = temperature_c[first : first + leg.time_s.size]
         first += leg.time_s.size
-        speed = np.full(leg.time_s.size, abs(leg.velocity_deg_s))
-        speed[0] = 0.0
         if leg.soaked_since_s is not None:
             before_c, after_c = knot_c[-1][-1], own_c[0]
             soak_s = float(leg.time_s[0]) - leg.soaked_since_s
@@ -177,16 +174,13 @@ def _timeline(joint: Joint, plan: Plan, ways: Sequence[Leg], temperature_c: Floa
             change_s = min(change_s, soak_s)
             time_s.append(leg.soaked_since_s + np.array([0.0, change_s]))
             knot_c.append(np.array([before_c, after_c]))
-            speed_deg_s.append(np.zeros(2))
         time_s.append(leg.time_s)
         knot_c.append(own_c)
-        speed_deg_s.append(speed)
     if faults:
         raise ContractError(faults)
     return Timeline(
         time_s=np.concatenate(time_s),
         temperature_c=np.concatenate(knot_c),
-        speed_deg_s=np.concatenate(speed_deg_s),
     )
 
 

@@ -35,6 +35,10 @@ Floats = NDArray[np.float64]
 DEFAULT_ORDERS = (0, 2)
 TIME_CONSTANTS_S = (100.0, 300.0, 1000.0, 3000.0, 10000.0)
 _TUNING = 1.3
+_SLOW_DEG_S = 5.0
+"""Mean speed from stop to stop below which friction leaves milliwatts."""
+_SLOW_DOUBT_NATS = 3.0
+"""One campaign in twenty."""
 _OTHERS_SIZE = 0.4
 
 
@@ -70,7 +74,7 @@ class SelfHeatingSettings:
         return None if self.harmonics is None else ()
 
     def error_arcsec(self, conditions: Conditions, joint: Joint, rng: np.random.Generator | None) -> Floats:
-        """As in `EffectSettings`; 0 where times or speeds are not known."""
+        """As in `EffectSettings`; 0 where times are not known."""
         if self.harmonics is None or self.time_constant_s is None:
             return np.zeros(len(conditions))
         heat = motion_heat_deg_s(conditions, self.time_constant_s)
@@ -93,13 +97,13 @@ class SelfHeatingSettings:
 
 
 def hypotheses(conditions: Conditions) -> Iterator[Hypothesis]:
-    """Some time constants; none without times and speeds."""
+    """Some time constants; none without times."""
     for time_constant_s in TIME_CONSTANTS_S:
         heat = motion_heat_deg_s(conditions, time_constant_s)
         squared = motion_heat_deg_s(conditions, time_constant_s, power=2.0)
-        if heat is None or squared is None or conditions.velocity_deg_s is None:
+        if heat is None or squared is None:
             return
-        fastest = max(float(np.abs(conditions.velocity_deg_s).max()), 1e-9)
+        fastest = max(float(np.max(squared)) / max(float(np.max(heat)), 1e-9), 1e-9)
         for order in (0, 1, 2):
             others = [other for other in (0, 1, 2) if other != order]
             # Dry friction heats with the speed, viscous friction with its square.
@@ -118,6 +122,7 @@ def hypotheses(conditions: Conditions) -> Iterator[Hypothesis]:
                 wiggle=wiggle,
                 wiggle_size=_OTHERS_SIZE,
                 shape={"time_constant_s": time_constant_s},
+                doubt_nats=_SLOW_DOUBT_NATS if fastest < _SLOW_DEG_S else 0.0,
             )
 
 
@@ -153,5 +158,5 @@ EFFECT = LibraryEffect(
     settings=SelfHeatingSettings,
     hypotheses=hypotheses,
     settings_of=settings_of,
-    needs=("time_s", "velocity_deg_s"),
+    needs=("time_s",),
 )

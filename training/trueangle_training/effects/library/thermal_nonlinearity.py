@@ -13,7 +13,7 @@ from trueangle_training.effects.checks import Amplitude, Phase, check_harmonics
 from trueangle_training.effects.conditions import Conditions
 from trueangle_training.effects.effect import Hypothesis, LibraryEffect, Nature, Parameter
 from trueangle_training.effects.harmonics import MAX_ORDER, HarmonicTerm, Order
-from trueangle_training.effects.patterns import beside, driven, harmonics, order_columns
+from trueangle_training.effects.patterns import driven, harmonics, order_columns
 from trueangle_training.effects.thermal_response import (
     TYPICAL_SPAN_K,
     from_base_k,
@@ -24,7 +24,7 @@ from trueangle_training.effects.thermal_response import (
 Floats = NDArray[np.float64]
 DEFAULT_ORDERS = (1, 2)
 _BEND_SIZE = 0.35
-"""Linear and cubic parts beside the square: a curve that is smooth, but no parabola about the base temperature."""
+"""A cubic part beside the square: a curve that is smooth, but no parabola about the base temperature."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,7 +69,7 @@ def hypotheses(conditions: Conditions) -> Iterator[Hypothesis]:
     if above_k is None:
         return
     for orders in ((1,), (2,), (1, 2)):
-        linear = order_columns(conditions.angle_deg, orders, above_k * TYPICAL_SPAN_K)
+        # No linear part: that is thermal_eccentricity or thermal_tilt, which it could carry altogether.
         cubic = order_columns(conditions.angle_deg, orders, above_k**3 / TYPICAL_SPAN_K)
         yield driven(
             effect="thermal_nonlinearity",
@@ -79,7 +79,7 @@ def hypotheses(conditions: Conditions) -> Iterator[Hypothesis]:
             orders=orders,
             unit="arcsec_per_k2",
             driver=above_k**2,
-            wiggle=beside(linear, cubic),
+            wiggle=cubic,
             wiggle_size=_BEND_SIZE,
         )
 
