@@ -5,53 +5,32 @@ noise at first, or noise for an effect, is seen for what it is.
 """
 
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trueangle_training.diagnosis.choice import Way, chosen, left_to
 from trueangle_training.diagnosis.cleaning import Cleaned, Dictionary, clean, wide_dictionary
-from trueangle_training.diagnosis.design_check import CARRIED
 from trueangle_training.diagnosis.evidence import (
     Accepted,
     Evidence,
     evidence_of,
     fit,
-    joint_log_evidence,
     scores,
     stacked_columns,
 )
 from trueangle_training.diagnosis.noise import NoiseModel, estimate_noise, run_kinds
 from trueangle_training.diagnosis.problem import Problem
-from trueangle_training.diagnosis.random_draws import are_no_draws
 from trueangle_training.diagnosis.selection import (
-    NEAR_NATS,
     Families,
     Selection,
     families_of,
     family_evidence,
-    select,
 )
 from trueangle_training.diagnosis.spectra import RunTransform, run_transform
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
-
-NAMED_IN_SPITE_OF_GENERIC = 0.20
-"""Share of generic patterns up to which names stand as they are."""
-LEFT_TO_GENERIC = 0.10
-"""Share that a choice among the library alone may leave to the best generic pattern and still be the answer."""
-MOST_NAMES_WITHOUT_GENERIC = 2
-NARROW = 4
-"""Columns of a pattern: an order that drifts over the campaign has four."""
-
-
-class _Way(Enum):
-    """Among which patterns the members were chosen."""
-
-    BY_EVIDENCE = "all"
-    BY_NAMED_SHARE = "the library's with a curve of their own"
-    WITHOUT_DRAWS = "all that are not drawn in each run"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -123,26 +102,19 @@ class Attribution:
         """[readings]: the members alone."""
         total = np.zeros(len(problem))
         for member in self.members:
-            total += curve_of(problem, member.hypothesis_index, member.coefficients)
+            total += problem.curve(member.hypothesis_index, member.coefficients)
         return total
-
-
-def curve_of(problem: Problem, hypothesis_index: int, coefficients: Floats) -> Floats:
-    """[readings] of one hypothesis with main and wiggle coefficients."""
-    shape = problem.hypotheses[hypothesis_index]
-    mains = shape.main.shape[1]
-    return shape.main @ coefficients[:mains] + shape.wiggle @ coefficients[mains:]
 
 
 def attribute(problem: Problem) -> Attribution:
     """Explain the errors of a problem."""
     state = _State.of(problem)
     evidence, families, noise, cleaned = state.weighed(problem, None)
-    selection, way = _chosen(problem, evidence, families)
+    selection, way = chosen(problem, evidence, families)
     if selection.accepted:
         mean = np.sum(_curves(problem, evidence, selection), axis=0)
         evidence, families, noise, cleaned = state.weighed(problem, mean)
-        selection, way = _chosen(problem, evidence, families)
+        selection, way = chosen(problem, evidence, families)
     return _attribution(problem, evidence, families, selection, noise, cleaned, way)
 
 
@@ -202,97 +174,9 @@ def _curves(problem: Problem, evidence: Evidence, selection: Selection) -> list[
     for each in selection.accepted:
         width = int(evidence.width[each.block])
         coefficients = found.coefficients[at : at + width] * evidence.scale[evidence.column_range(each.block)]
-        curves.append(curve_of(problem, int(evidence.hypothesis[each.block]), coefficients))
+        curves.append(problem.curve(int(evidence.hypothesis[each.block]), coefficients))
         at += width
     return curves
-
-
-def _chosen(problem: Problem, evidence: Evidence, families: Families) -> tuple[Selection, "_Way"]:
-    """The selection, and what was set aside for it.
-
-    A wide pattern beats an effect with several events or a slightly bent shape, be it generic or drawn anew in
-    each run; where two names with a curve of their own explain nearly all, the names are the answer.
-    run_to_run_eccentricity is no such name: it can imitate any order 1.
-    """
-    everything = np.ones(evidence.hypothesis.size, dtype=bool)
-    selection = select(evidence, families, everything)
-    drawn = any(evidence.drawn[each.block] for each in selection.accepted)
-    if _generic_share(families, selection) <= NAMED_IN_SPITE_OF_GENERIC and not drawn:
-        return selection, _Way.BY_EVIDENCE
-    wide = families.generic[families.of_block] | evidence.drawn
-    named = select(evidence, families, ~wide)
-    effects = {problem.hypotheses[evidence.hypothesis[each.block]].effect for each in named.accepted}
-    few = 0 < len(effects) <= MOST_NAMES_WITHOUT_GENERIC
-    undrawn = select(evidence, families, ~evidence.drawn) if drawn else selection
-    nearly_all = few and _left_to(evidence, families, named, wide) < LEFT_TO_GENERIC
-    if nearly_all and not _plainly_better(evidence, families, undrawn, named):
-        return named, _Way.BY_NAMED_SHARE
-    if any(_is_orderly(problem, evidence, selection, each) for each in selection.accepted):
-        return undrawn, _Way.WITHOUT_DRAWS
-    return selection, _Way.BY_EVIDENCE
-
-
-def _plainly_better(evidence: Evidence, families: Families, selection: Selection, named: Selection) -> bool:
-    """Whether a narrow generic pattern explains the errors better than the names do, and not in other words.
-
-    A wide one wins by its width; a narrow one only by being nearer to the truth.
-    """
-    if _judged(evidence, families, selection) <= _judged(evidence, families, named) + NEAR_NATS:
-        return False
-    found = fit(evidence, selection.accepted)
-    name = named.accepted[0].block
-    mains = evidence.column_range(name)[: evidence.mains[name]]
-    of_name = evidence.product(name)[: evidence.mains[name]]
-    for each in selection.accepted:
-        narrow = evidence.mains[each.block] <= NARROW and not evidence.drawn[each.block]
-        if not families.generic[families.of_block[each.block]] or not narrow:
-            continue
-        own = evidence.column_range(each.block)
-        coefficients = found.coefficients[np.isin(found.columns, own)]
-        energy = float(coefficients @ evidence.product(each.block)[:, own] @ coefficients)
-        shared = of_name[:, own] @ coefficients
-        carried = float(shared @ np.linalg.lstsq(of_name[:, mains], shared, rcond=1e-9)[0])
-        if len(named.accepted) > 1 or carried < CARRIED * energy:
-            return True
-    return False
-
-
-def _judged(evidence: Evidence, families: Families, selection: Selection) -> float:
-    """Log evidence of a whole selection, penalties taken off."""
-    penalty = sum(float(families.penalty[families.of_block[each.block]]) for each in selection.accepted)
-    return joint_log_evidence(evidence, selection.accepted) - penalty
-
-
-def _is_orderly(problem: Problem, evidence: Evidence, selection: Selection, member: Accepted) -> bool:
-    """Whether an effect drawn in each run follows the runs' conditions, and so is not drawn."""
-    hypothesis = int(evidence.hypothesis[member.block])
-    if not evidence.drawn[member.block] or problem.hypotheses[hypothesis].effect is None:
-        return False
-    found = fit(evidence, selection.accepted)
-    own = evidence.column_range(member.block)
-    coefficients = found.coefficients[np.isin(found.columns, own)] * evidence.scale[own]
-    return are_no_draws(problem.conditions, curve_of(problem, hypothesis, coefficients))
-
-
-def _generic_share(families: Families, selection: Selection) -> float:
-    return sum(
-        share
-        for each, share in zip(selection.accepted, selection.share, strict=True)
-        if families.generic[families.of_block[each.block]]
-    )
-
-
-def _left_to(evidence: Evidence, families: Families, selection: Selection, rivals: NDArray[np.bool_]) -> float:
-    """Share of all explained energy that the best of the rivals ([blocks]) takes beside the selection."""
-    found = scores(evidence, selection.accepted)
-    log_evidence = np.where(rivals, found.log_evidence, -np.inf)
-    if not np.isfinite(log_evidence).any():
-        return 0.0
-    block = int(np.argmax(log_evidence - families.penalty[families.of_block]))
-    with_it = [*selection.accepted, Accepted(block=block, tau=float(found.tau[block]))]
-    whole = float(evidence.error @ evidence.error)
-    before, after = float(fit(evidence, selection.accepted).energy_left), float(fit(evidence, with_it).energy_left)
-    return max(0.0, (before - after) / max(whole - after, 1e-12))
 
 
 def _attribution(
@@ -302,7 +186,7 @@ def _attribution(
     selection: Selection,
     noise: NoiseModel,
     cleaned: Cleaned,
-    way: _Way,
+    way: Way,
 ) -> Attribution:
     found = fit(evidence, selection.accepted)
     members: list[Member] = []
@@ -321,7 +205,7 @@ def _attribution(
                 covariance=found.covariance[here, here] * np.outer(scale, scale),
                 log_evidence=log_evidence,
                 share=min(max(share, 0.0), 1.0),
-                curve_arcsec=curve_of(problem, index, coefficients),
+                curve_arcsec=problem.curve(index, coefficients),
             )
         )
         at += width
@@ -341,10 +225,10 @@ def _attribution(
         outlier_rows=np.flatnonzero(cleaned.replaced),
         candidates=rivals[0] if rivals else _candidates(problem, evidence, families, []),
         rivals=rivals,
-        by_named_share=way is _Way.BY_NAMED_SHARE,
-        draws_set_aside=way is not _Way.BY_EVIDENCE,
+        by_named_share=way is Way.BY_NAMED_SHARE,
+        draws_set_aside=way is not Way.BY_EVIDENCE,
         left_to_generic=(
-            _left_to(evidence, families, selection, families.generic[families.of_block])
+            left_to(evidence, families, selection, families.generic[families.of_block])
             if selection.accepted
             else 0.0
         ),

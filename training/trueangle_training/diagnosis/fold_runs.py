@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trueangle_training.diagnosis.attribution import curve_of
 from trueangle_training.diagnosis.fold_attribution import Competition, FoundShape, found_without
 from trueangle_training.diagnosis.problem import Problem
 from trueangle_training.diagnosis.recalibration import (
@@ -50,7 +49,7 @@ def fold_run(rivals: Competition, folds: tuple[Fold, ...], noise_arcsec2: float)
         out = fold.left_out
         shapes = found_without(rivals, out)
         found = sum(
-            (curve_of(problem, each.hypothesis_index, each.coefficients) for each in shapes if not each.drawn),
+            (problem.curve(each.hypothesis_index, each.coefficients) for each in shapes if not each.drawn),
             np.zeros(size),
         )
         draws = _draws_in_fold(problem, shapes, found, columns, out, noise_arcsec2)
@@ -83,7 +82,7 @@ def _draws_in_fold(
     for each in shapes:
         if each.drawn:
             drawn.setdefault(each.effect, []).append(each)
-            draws += curve_of(problem, each.hypothesis_index, each.coefficients)
+            draws += problem.curve(each.hypothesis_index, each.coefficients)
     if not drawn:
         return draws
     left = problem.error_arcsec - found
@@ -103,9 +102,7 @@ def _draws_in_fold(
 
 def _size_of_draw(problem: Problem, shapes: Sequence[FoundShape], inside: Mask) -> float:
     """Mean square of an effect's curve over the readings of the training runs that have it, arcsec^2."""
-    curve = np.sum(
-        [curve_of(problem, each.hypothesis_index, each.coefficients)[inside] for each in shapes], axis=0
-    )
+    curve = np.sum([problem.curve(each.hypothesis_index, each.coefficients)[inside] for each in shapes], axis=0)
     index = np.unique(problem.conditions.run[inside], return_inverse=True)[1]
     count = np.bincount(index)
     mean = np.bincount(index, weights=curve) / count

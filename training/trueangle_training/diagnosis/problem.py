@@ -66,6 +66,12 @@ class Problem:
         """[readings, columns]: all that is re-calibrated before a gap is structural."""
         return np.column_stack([self.offsets(), self.drift, self.modelled])
 
+    def curve(self, hypothesis_index: int, coefficients: Floats) -> Floats:
+        """[readings] of one hypothesis with main and wiggle coefficients."""
+        shape = self.hypotheses[hypothesis_index]
+        mains = shape.main.shape[1]
+        return shape.main @ coefficients[:mains] + shape.wiggle @ coefficients[mains:]
+
     def rows(self, kept: NDArray[np.bool_] | Integers) -> "Problem":
         """The readings of a mask or of indices; shapes keep the values that they have in the whole campaign."""
         return replace(
