@@ -276,6 +276,8 @@ def test_the_gap_left_of_the_end_task_is_that_of_squares() -> None:
         ("phase_deg", "Phase"),
         ("time_constant_s", "Time constant"),
         ("order_3_cos_arcsec", "Order 3 cos"),
+        ("step_arcsec_2", "Step (2)"),
+        ("kept_in_later_runs_3", "Kept in later runs (3)"),
     ],
 )
 def test_a_parameter_is_told_in_words_with_its_unit_at_the_value(name: str, words: str) -> None:

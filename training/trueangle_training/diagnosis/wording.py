@@ -370,14 +370,23 @@ UNITS: tuple[tuple[str, str], ...] = (
 
 
 def parameter_words(name: str) -> str:
-    """A parameter's name as prose, its unit left to the value."""
+    """A parameter's name as prose, its unit left to the value; those of a second event are numbered."""
+    name, number = _of_event(name)
     ending = next((ending for ending, _ in UNITS if name.endswith(ending) and name != ending[1:]), "")
-    return effect_words(name.removesuffix(ending)).capitalize()
+    words = effect_words(name.removesuffix(ending)).capitalize()
+    return f"{words} ({number})" if number else words
+
+
+def _of_event(name: str) -> tuple[str, str]:
+    """A parameter's name and the number of its event, "" for the first."""
+    before, _, last = name.rpartition("_")
+    return (before, last) if before and last.isdigit() else (name, "")
 
 
 def parameter_value(name: str, estimate: Estimate) -> str:
     """Value, uncertainty and unit."""
-    unit = next((f" {unit}" for ending, unit in UNITS if name.endswith(ending)), "")
+    plain, _ = _of_event(name)
+    unit = next((f" {unit}" for ending, unit in UNITS if plain.endswith(ending)), "")
     value = f"{estimate.value:.4g}"
     if estimate.standard_uncertainty is not None:
         value = f"{value} ± {estimate.standard_uncertainty:.2g}"
