@@ -42,7 +42,7 @@ def test_a_reading_without_error_is_left_out_and_said() -> None:
     assert campaign.angle_deg.tolist() == [0.0, 20.0]
     assert campaign.temperature_c is not None
     assert np.isnan(campaign.temperature_c[1])
-    assert any("1 readings without angle or error were left out (lines 3)" in note for note in campaign.notes)
+    assert any("1 reading without angle or error was left out (line 3)" in note for note in campaign.notes)
 
 
 @pytest.mark.parametrize(
@@ -165,3 +165,16 @@ def test_polygon_runs_have_their_own_zero_and_a_reference_encoder_shares_one() -
     face = np.array([1, 2, 0, 0, 0, 0])
     assert derive_zero_groups(run, face=face).tolist() == [0, 0, 3, 3, 3, 3]
     assert derive_zero_groups(run, face=None).tolist() == run.tolist()
+
+
+@pytest.mark.parametrize(
+    ("rows", "note"),
+    [
+        (["0,1", "1,", "2,3"], "1 reading without angle or error was left out (line 3)"),
+        (["0,1", "1,", ",3", "4,2"], "2 readings without angle or error were left out (lines 3, 4)"),
+        (["0,1", "1,2"], "no column run: all readings are one run by angle, direction, time, temperature"),
+    ],
+)
+def test_notes_count_in_plain_words(rows: list[str], note: str) -> None:
+    data = "\n".join(["angle_deg,error_arcsec", *rows]).encode()
+    assert note in read_campaign(data, source="a.csv").notes

@@ -61,7 +61,10 @@ def test_a_joint_survives_writing_and_reading() -> None:
         (("[eccentricity", "[3, eccentricity"), "expected an effect's name, found 3"),
         ((", faces: 23", ""), "expected faces beside kind polygon"),
         (("kind: polygon", "kind: laser"), "expected one of polygon, encoder, found the text 'laser'"),
-        (("schema_version: 1", "schema_version: 2"), "schema_version: expected a whole number, 1 to 1, found 2"),
+        (
+            ("schema_version: 1", "schema_version: 2"),
+            "schema_version: expected a whole number, exactly 1, found 2",
+        ),
         (("3276800", "100"), "counts_per_rev: expected at least lines_per_rev (16384), found 100"),
         (("3276800}", "3276800, settings: {units_per_revolution: 4}}"), "equal to counts_per_rev"),
         (("reference:", "referense:"), "did you mean reference?"),
@@ -177,3 +180,9 @@ def test_an_impossible_segment_is_refused_with_its_line(segment: str, found: str
         segmented(segment)
     assert found in str(caught.value)
     assert "j.yaml line" in str(caught.value)
+
+
+def test_an_effect_that_is_listed_twice_is_refused() -> None:
+    text = MINIMUM.split("effects")[0] + "effects: [eccentricity, grating_tilt, eccentricity]\n"
+    with pytest.raises(ContractError, match="expected each effect once, found eccentricity again"):
+        joint(text)

@@ -55,7 +55,7 @@ def test_equal_models_give_equal_bytes() -> None:
 @pytest.mark.parametrize(
     ("path", "value", "found"),
     [
-        (("schema_version",), 2, "schema_version: expected a whole number, 1 to 1, found 2"),
+        (("schema_version",), 2, "schema_version: expected a whole number, exactly 1, found 2"),
         (("sign_convention",), "corrected = raw - correction", "expected corrected = raw + correction"),
         (("inputs", 0, "unit"), "rad", "expected angle_deg in deg, then temperature_c in degC"),
         (("calibration", "file_sha256"), "abc", "64 hexadecimal digits"),

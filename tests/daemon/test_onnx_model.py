@@ -62,7 +62,7 @@ def test_the_pinned_file_is_accepted_and_any_other_refused() -> None:
         ("wrong-inputs.onnx", "expected the inputs angle_deg, temperature_c, found theta, temperature_c"),
         ("float32.onnx", "expected tensor(double) of shape [n], found tensor(float)"),
         ("no-metadata.onnx", "expected metadata under the key trueangle, found none"),
-        ("newer-metadata.onnx", "schema_version: expected a whole number, 1 to 1, found 2"),
+        ("newer-metadata.onnx", "schema_version: expected a whole number, exactly 1, found 2"),
         ("external-data.onnx", "expected all weights inside the file, found a reference to external data"),
     ],
 )

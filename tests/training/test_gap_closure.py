@@ -188,3 +188,19 @@ def test_a_chance_effect_that_lives_in_one_run_does_not_make_the_control_meaning
     chance = chance_effects(small, folds, count=1, without=frozenset(), draws=21, rng=np.random.default_rng(2))
     plain = held_out(made.error_arcsec, recalibration_columns(made), made.conditions.zero_group, folds)
     assert chance == pytest.approx(float(np.sum(plain.residual_arcsec**2)), rel=0.1)
+
+
+def test_without_a_clock_the_order_of_the_runs_tells_the_black_box_what_wanders() -> None:
+    """The same drift over the campaign, with the column time_s and without it."""
+    drifting = problem(
+        campaign(
+            7, lambda theta, t, run: np.asarray(0.1 * (run - 11) * np.cos(2 * theta), np.float64), colour=0.05
+        )
+    )
+    timeless = replace(drifting, conditions=replace(drifting.conditions, time_s=None, temperature_c=None))
+    for made in (drifting, timeless):
+        folds = run_folds(made)
+        left = black_box(made, folds).mean_square(SIGMA_ARCSEC**2)
+        before = held_out(made.error_arcsec, recalibration_columns(made), made.conditions.zero_group, folds)
+        gap = before.mean_square(SIGMA_ARCSEC**2) - SIGMA_ARCSEC**2
+        assert (before.mean_square(SIGMA_ARCSEC**2) - left) / gap > 0.8

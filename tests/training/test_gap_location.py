@@ -4,11 +4,15 @@ import numpy as np
 import pytest
 from tests.training.gap_campaigns import SIGMA_ARCSEC, campaign, problem
 
+from trueangle.contract.calibration import read_campaign
+from trueangle.contract.document import document_from_plain
+from trueangle.contract.joint import joint_from_document
 from trueangle_training.diagnosis.location import CellFit, FoundPart, where
 from trueangle_training.diagnosis.problem import Problem
 from trueangle_training.diagnosis.recalibration import recalibration_span
 from trueangle_training.diagnosis.scatter_map import run_homogeneity
 from trueangle_training.diagnosis.sign_flips import flip_test, visible_block
+from trueangle_training.diagnosis.wander import FLICKER_SHARE, excess
 from trueangle_training.effects.cells import Cell
 
 
@@ -110,3 +114,79 @@ def test_one_odd_run_and_a_step_between_runs_are_found_and_alike_runs_are_not() 
     # 40 campaigns at 5 %: seven or more alarms have probability 0.003.
     assert sum(each.odd_p_value < 0.05 for each in alike) < 7
     assert sum(each.step_p_value < 0.05 for each in alike) < 7
+
+
+ENCODER = {"schema_version": 1, "encoder": {"lines_per_rev": 16384, "counts_per_rev": 3_276_800}}
+
+
+def wandering(seed: int, *, wander_arcsec: float = 0.5, slope: float = 0.0) -> Problem:
+    """16 sweeps, four at each of four temperatures, and two slow ramps, all under one zero that wanders.
+
+    The wander is a random walk with a leash of six hours: neighbouring runs have nearly the same.
+    """
+    rng = np.random.default_rng(seed)
+    parts: list[tuple[np.ndarray, ...]] = []
+    clock_s, run = 0.0, 0
+    for set_c in (10.0, 20.0, 30.0, 40.0):
+        clock_s += 3 * 3600.0
+        for _ in range(4):
+            run += 1
+            step = np.arange(60)
+            parts.append((step * 12.0, np.full(60, set_c), clock_s + step, np.full(60, run)))
+            clock_s += 300.0
+    for start_c, stop_c in ((15.0, 35.0), (35.0, 15.0)):
+        run += 1
+        step = np.arange(240)
+        temperature = start_c + (stop_c - start_c) * step / 239.0
+        parts.append((step * 27.0, temperature, clock_s + 23.0 * step, np.full(240, run)))
+        clock_s += 240 * 23.0 + 600.0
+    angle, temperature, time, runs = (np.concatenate(part) for part in zip(*parts, strict=True))
+    kept = np.exp(-np.diff(time, prepend=time[0]) / (6 * 3600.0))
+    walk, state = np.empty(time.size), float(rng.normal())
+    for i, part in enumerate(kept.tolist()):
+        state = part * state + np.sqrt(1.0 - part**2) * float(rng.normal())
+        walk[i] = state
+    theta = np.radians(angle)
+    error = 20.0 * np.cos(theta) + wander_arcsec * walk + SIGMA_ARCSEC * rng.normal(size=time.size)
+    error = error + slope * (temperature - 25.0) * np.cos(3 * theta)
+    lines = ["angle_deg,error_arcsec,temperature_c,time_s,run,zero_group"]
+    lines += [
+        f"{a:.9f},{e:.9f},{t:.4f},{s:.3f},{r},1"
+        for a, e, t, s, r in zip(angle, error, temperature, time, runs, strict=True)
+    ]
+    plain = {
+        **ENCODER,
+        "reference": {"kind": "encoder"},
+        "effects": {"eccentricity": {}, "thermal_eccentricity": {}},
+    }
+    made_joint = joint_from_document(document_from_plain(plain, source="joint.yaml", path=""))
+    return problem(read_campaign("\n".join(lines).encode(), source="measured.csv"), made_joint)
+
+
+def test_a_zero_that_wanders_is_no_structure() -> None:
+    """Cells of order 0 under one zero add up what neighbouring runs have in common; 20 maps at 5 % have 5 or more
+    alarms with probability 0.003."""
+    alarms = [{p.cell for p in places(wandering(seed)) if p.significant} for seed in range(20)]
+    assert sum(bool(cells) for cells in alarms) < 5
+
+
+def test_beside_a_zero_that_wanders_a_pattern_of_the_angle_is_significant() -> None:
+    found = places(wandering(50, slope=0.02))
+    assert Cell(order="3", temperature="linear") in {each.cell for each in found if each.significant}
+
+
+def test_the_excess_of_two_units_that_noise_makes_alike_is_that_of_their_sum() -> None:
+    """Two units of one reading a second apart share all that is slow: (1 - f) 2 + f (2 + 2 c) over 2, c the mean
+    of exp(-1 / 10^k) over k = 1 alone. A column of opposite signs loses as much."""
+    correlation = np.mean([np.exp(-0.1), np.exp(-0.01)])
+    columns = np.array([[1.0, 1.0], [1.0, -1.0]])
+    found = excess(columns, np.array([0, 1]), np.array([5.0, 6.0]))
+    shared = FLICKER_SHARE * correlation
+    assert found == pytest.approx([1.0 + shared, 1.0 - shared])
+
+
+def test_without_a_clock_the_order_of_the_readings_is_one() -> None:
+    columns = np.ones((40, 1))
+    unit = np.repeat(np.arange(10), 4)
+    assert excess(columns, unit, None)[0] > 1.5
+    assert excess(columns, np.zeros(40, dtype=np.int64), None)[0] == pytest.approx(1.0)

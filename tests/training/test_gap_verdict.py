@@ -11,8 +11,10 @@ from tests.training import gap_campaigns
 from trueangle_training.diagnosis.attribution import attribute
 from trueangle_training.diagnosis.confidence import Grounds, class_probability
 from trueangle_training.diagnosis.design_check import design_check
+from trueangle_training.diagnosis.diagnose import diagnose, prepare, update_of
+from trueangle_training.diagnosis.plain_notes import loud_note
 from trueangle_training.diagnosis.problem import Problem, problem_of
-from trueangle_training.diagnosis.scatter import coarser_ratio, noise_growth
+from trueangle_training.diagnosis.scatter import coarser_ratio, loud_run, noise_growth
 from trueangle_training.diagnosis.verdict import Verdict, VerdictKind, verdict_of
 from trueangle_training.effects import EFFECTS
 
@@ -149,6 +151,21 @@ def test_noise_that_grows_with_temperature_is_found_and_steady_noise_is_not() ->
     assert not any(each and each[0].significant for each in steady)
 
 
+def test_one_run_that_scatters_beyond_all_others_is_unknown() -> None:
+    problem = _problem(59)
+    odd = problem.conditions.run == 9
+    disturbed = np.where(
+        odd, np.random.default_rng(4).normal(scale=6.0 * gap_campaigns.SIGMA_ARCSEC, size=483), 0.0
+    )
+    wild = replace(problem, error_arcsec=problem.error_arcsec + disturbed)
+    assert loud_run(wild, attribute(wild).noise) == 9
+    assert "run 9 " in loud_note(wild, attribute(wild).noise)[0]
+    assert loud_run(problem, attribute(problem).noise) is None
+    verdict = _verdict(wild)
+    assert verdict.kind is VerdictKind.UNKNOWN
+    assert verdict.unexplained.significant
+
+
 def test_a_coarser_lattice_of_counts_is_found_wherever_its_zero_is() -> None:
     problem = _problem(47)
     counts = problem.conditions.counts_per_rev
@@ -174,3 +191,23 @@ def test_the_probability_rises_with_the_margin_and_falls_with_what_the_rule_leav
     by_rule = [class_probability(replace(base, left=left, by_named_share=True)) for left in (0.0, 0.03, 0.09)]
     assert middle == by_rule[0] > by_rule[1] > by_rule[2]
     assert 0.0 < class_probability(replace(base, margin=-1e9)) < class_probability(replace(base, margin=1e9)) < 1.0
+
+
+def test_the_parameters_of_hysteresis_are_those_that_the_updated_joint_has() -> None:
+    """Its bend with the angle is fitted beside order 0 and goes into JOINT.yaml: the report lists it."""
+
+    def both_ways(theta: np.ndarray, t: np.ndarray, run: np.ndarray) -> np.ndarray:
+        return np.where(run % 2 == 1, 1.0, -1.0) * (2.0 + 0.6 * np.cos(theta - 0.5))
+
+    made = gap_campaigns.campaign(5, both_ways, directions=(1, -1))
+    made = replace(made, zero_group=(made.run + 1) // 2)
+    diagnosis = diagnose(prepare(made, gap_campaigns.joint()))
+    update = update_of(diagnosis)
+    assert update is not None
+    cause = next(each for each in diagnosis.findings.causes if each.effect == "hysteresis")
+    written = update.effects["hysteresis"]["harmonics"]
+    assert {each["order"] for each in written} == {0, 1, 2}
+    for each in written[1:]:
+        listed = cause.parameters[f"order_{each['order']}_amplitude_arcsec"]
+        assert listed.standard_uncertainty is not None
+        assert listed.value == pytest.approx(each["amplitude_arcsec"], abs=1e-3)

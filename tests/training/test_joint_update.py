@@ -1,5 +1,7 @@
 """The joint with what was found: its settings give the fitted curve, its file keeps what the user wrote."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import yaml
@@ -293,3 +295,19 @@ def test_every_form_of_yaml_keeps_its_other_keys(text: str) -> None:
 def test_a_joint_without_any_effect_is_written() -> None:
     text = joint_text_with_effects(TEXT, source="joint.yaml", effects={}, comments={}, heading="nothing")
     assert yaml.safe_load(text)["effects"] == {}
+
+
+def test_a_face_that_the_campaign_did_not_use_is_written_as_zero() -> None:
+    conditions = made_conditions()
+    kept = np.flatnonzero(np.asarray(conditions.face) <= FACES - 2)
+    few = conditions.rows(kept)
+    few = replace(few, faces=None)
+    update = joint_update(
+        made_joint({"reference_artefact": {}}),
+        few,
+        EFFECTS,
+        modelled={"reference_artefact": np.linspace(-0.5, 0.5, FACES - 2)},
+        found=[],
+    )
+    assert len(update.effects["reference_artefact"]["faces_arcsec"]) == FACES
+    assert update.effects["reference_artefact"]["faces_arcsec"][-2:] == [0.0, 0.0]

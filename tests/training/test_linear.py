@@ -16,9 +16,10 @@ from trueangle_training.methods.coefficients import (
     reduce_to_coefficients,
     spline_interpolation,
 )
-from trueangle_training.methods.linear import Linear, fit_linear
+from trueangle_training.methods.linear import Linear, fit_linear, fit_without_uncertainty
 from trueangle_training.methods.registry import load_method
 from trueangle_training.methods.separable import SeparableModel
+from trueangle_training.methods.temperature_kernels import KernelMixture
 
 Floats = NDArray[np.float64]
 
@@ -240,3 +241,19 @@ def test_seed_changes_nothing_and_torch_is_not_needed() -> None:
     )
     environment = {"PYTHONPATH": ":".join(entry for entry in sys.path if entry)}
     assert subprocess.run([sys.executable, "-c", script], env=environment, check=False).returncode == 0
+
+
+def test_coupled_harmonics_ask_for_the_posterior_mean_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The rounds that weigh the kernels need no mean, which costs more than the weighing."""
+    asked: list[int] = []
+    means = KernelMixture.means
+
+    def counted(mixture: KernelMixture) -> Floats:
+        asked.append(1)
+        return means(mixture)
+
+    monkeypatch.setattr(KernelMixture, "means", counted)
+    readings = readings_of(draw_campaign(draw_joint("spread", 1), 1))
+    kept = np.arange(readings.error_arcsec.size) % 7 != 0
+    fit_without_uncertainty(reduce_to_coefficients(some(readings, kept)), datum_deg=0.0)
+    assert len(asked) == 1

@@ -280,3 +280,11 @@ def test_one_zero_keeps_the_datums_drift_in_the_errors() -> None:
     expected = closed_form_arcsec(true_deg, campaign.temperature_c)
     assert np.ptp(expected[::23]) > 0.5
     np.testing.assert_allclose(campaign.error_arcsec, expected - expected[0], atol=0.0007)
+
+
+@pytest.mark.parametrize(("listed", "found"), [(22, "22 deviations"), (24, "24 deviations"), (1, "1 deviation")])
+def test_a_reference_artefact_with_another_number_of_faces_is_refused(listed: int, found: str) -> None:
+    artefact = document_from_plain({"faces_arcsec": [0.1] * listed}, source="joint.yaml")
+    other = replace(noise_free(), effects={"reference_artefact": artefact})
+    with pytest.raises(ContractError, match=f"expected 23 deviations, one for each face .*, found {found}"):
+        simulated_joint(other)

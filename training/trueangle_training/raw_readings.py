@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from trueangle.contract.calibration import Campaign, derive_runs
+from trueangle.contract.calibration import Campaign, derive_runs, derived_runs_note
 from trueangle.contract.errors import Fault
 from trueangle.contract.joint import PlanZero
 from trueangle.contract.number_table import NumberTable, integer_faults, raise_faults, read_number_table
@@ -114,9 +114,7 @@ def read_raw_readings(data: bytes, *, source: str) -> RawReadings:
             time_s=columns.get("time_s"),
             temperature_c=columns.get("temperature_c"),
         )
-        notes.append(
-            f"no column run: {np.unique(run).size} runs were told apart by angle, direction, time, temperature"
-        )
+        notes.append(derived_runs_note(run))
     offset = columns.get("polygon_offset", np.zeros(size))
     return RawReadings(
         face=_integers(columns["face"]),
@@ -196,10 +194,9 @@ def errors_by_equation_11(
     raise_faults(_far_off_faults(raw, faces, order, first, zeroed), raw.source)
     if not complete.all():
         left_out = raw.row[~complete]
-        notes.append(
-            f"{left_out.size} readings without angle or autocollimator value were left out "
-            f"({lines_text(left_out)})"
-        )
+        readings = "1 reading" if left_out.size == 1 else f"{left_out.size} readings"
+        verb = "was" if left_out.size == 1 else "were"
+        notes.append(f"{readings} without angle or autocollimator value {verb} left out ({lines_text(left_out)})")
     if certificate is None:
         notes.append("no polygon certificate: the deviations of its faces are in the errors")
     return Campaign(

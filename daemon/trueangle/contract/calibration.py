@@ -95,7 +95,9 @@ def read_campaign(data: bytes, *, source: str) -> Campaign:
     if not complete.all():
         missing = lines[~complete]
         shown = ", ".join(str(line) for line in missing[:10]) + (", ..." if missing.size > 10 else "")
-        notes.append(f"{missing.size} readings without angle or error were left out (lines {shown})")
+        left_out = "1 reading" if missing.size == 1 else f"{missing.size} readings"
+        verb, line = ("was", "line") if missing.size == 1 else ("were", "lines")
+        notes.append(f"{left_out} without angle or error {verb} left out ({line} {shown})")
     columns = {name: values[complete] for name, values in columns.items()}
     lines = lines[complete]
     if lines.size == 0:
@@ -113,9 +115,7 @@ def _campaign(columns: dict[str, Floats], lines: Integers, source: str, sha256: 
             time_s=columns.get("time_s"),
             temperature_c=columns.get("temperature_c"),
         )
-        notes.append(
-            f"no column run: {np.unique(run).size} runs were told apart by angle, direction, time, temperature"
-        )
+        notes.append(derived_runs_note(run))
     zero_group = integers.get("zero_group")
     if zero_group is None:
         zero_group = derive_zero_groups(run, face=integers.get("face"))
@@ -152,6 +152,17 @@ def _check_integers(name: str, values: Floats, lines: Integers, source: str, fau
     for i in np.flatnonzero(wrong):
         found = "an empty cell" if not present[i] else f"{values[i]:g}"
         faults.append(Fault(where=f"{source} line {lines[i]}, column {name}", expected=allowed, found=found))
+
+
+def derived_runs_note(run: Integers) -> str:
+    """How many runs `derive_runs` made."""
+    count = int(np.unique(run).size)
+    told_by = "angle, direction, time, temperature"
+    return (
+        f"no column run: all readings are one run by {told_by}"
+        if count == 1
+        else f"no column run: {count} runs were told apart by {told_by}"
+    )
 
 
 def derive_runs(

@@ -68,6 +68,8 @@ class Range:
             return f"at most {self.maximum:g}"
         if self.maximum is None:
             return f"at least {self.minimum:g}"
+        if self.minimum == self.maximum:
+            return f"exactly {self.minimum:g}"
         return f"{self.minimum:g} to {self.maximum:g}"
 
     def holds(self, number: float) -> bool:

@@ -161,6 +161,12 @@ def _named_effects(effects: Node) -> Node:
         for item in items
         if not isinstance(item.value, str)
     ]
+    names = [item.value for item in items]
+    faults += [
+        Fault(where=item.where, expected="each effect once", found=f"{item.value} again", advice="leave it out")
+        for place, item in enumerate(items)
+        if isinstance(item.value, str) and item.value in names[:place]
+    ]
     if faults:
         raise ContractError(faults)
     named = {

@@ -228,7 +228,9 @@ def _copy_faults(campaign: Campaign) -> Iterator[DataFault]:
             campaign,
             "duplicated_rows",
             copies,
-            f"{int(copies.sum())} rows repeat an earlier one in all columns",
+            "1 row repeats an earlier one in all columns"
+            if copies.sum() == 1
+            else f"{int(copies.sum())} rows repeat an earlier one in all columns",
         )
         return
     seen: dict[bytes, int] = {}

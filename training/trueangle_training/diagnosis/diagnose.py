@@ -37,7 +37,7 @@ from trueangle_training.diagnosis.joint_update import FoundShape, JointUpdate, g
 from trueangle_training.diagnosis.location import CellFit, FoundPart, where
 from trueangle_training.diagnosis.next_measurement import next_measurement
 from trueangle_training.diagnosis.overlooked import OVERLOOKED, more_than_noise, overlooked
-from trueangle_training.diagnosis.plain_notes import disturbed_note, one_way_note, still_said
+from trueangle_training.diagnosis.plain_notes import disturbed_note, loud_note, one_way_note, still_said
 from trueangle_training.diagnosis.plan_sight import plan_sight, subject_of
 from trueangle_training.diagnosis.problem import Problem, problem_of
 from trueangle_training.diagnosis.recalibration import recalibration_span
@@ -215,6 +215,7 @@ def _with_physics(prepared: Prepared, checks: DataChecks, progress: Callable[[in
         next_measurement=_next_measurement(prepared, answer),
         notes=(
             *blank.notes,
+            *loud_note(problem, attribution.noise),
             *disturbed,
             *(() if shares is None else shares.notes),
             *closure.notes,
@@ -286,6 +287,9 @@ def _cell_fit(shape: Hypothesis) -> CellFit:
 
 def _with_scatter(places: tuple[Place, ...], answer: which.Verdict) -> tuple[Place, ...]:
     """Where nothing but scatter was found, its cells come first and have all of it."""
+    if answer.unexplained.cells == (which.LOUD_CELL,):
+        loud = Place(cell=which.LOUD_CELL, share=0.0, p_value=None, significant=True, runs_needed=None)
+        return (loud, *(place for place in places if place.cell != loud.cell))
     if not answer.named or any(cause.nature is not Nature.VARIANCE for cause in answer.causes):
         return places
     cells = {cell for cause in answer.named for cell in EFFECTS[cause.effect].cells}

@@ -98,6 +98,7 @@ def joint_update(
     for name, settings in scatter.items():
         effects[name] = merged(effects.get(name), rounded(settings))
         comments[name] = "found in the scatter"
+    _list_every_face(effects, joint)
     _check(effects, library, joint)
     return JointUpdate(effects=effects, comments=comments, notes=tuple(notes))
 
@@ -154,6 +155,14 @@ def _added_at_top(place: Floats, ratio: float, scatter_arcsec: float) -> float:
         return scatter_arcsec / float(np.sqrt(mean_square))
     gain = max(ratio**2 - 1.0, 0.0) / steady
     return scatter_arcsec * float(np.sqrt(gain / (1.0 + gain * mean_square)))
+
+
+def _list_every_face(effects: dict[str, dict[str, Any]], joint: Joint) -> None:
+    """A face that the campaign did not use deviates by 0: the simulator asks for all of them."""
+    listed = effects.get("reference_artefact", {}).get("faces_arcsec")
+    if listed is not None:
+        missing = (joint.reference.faces or 0) - len(listed)
+        effects["reference_artefact"]["faces_arcsec"] = [*listed, *([0.0] * missing)]
 
 
 def _check(effects: Mapping[str, dict[str, Any]], library: Mapping[str, LibraryEffect], joint: Joint) -> None:

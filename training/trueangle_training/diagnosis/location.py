@@ -99,7 +99,7 @@ def where(
             tested.append(_Tested(lattice=each, block=block, runs=carrying_units(block, unit)))
     if not tested:
         return ()
-    p_values = _p_values(residual, tested, unit, span, rng)
+    p_values = _p_values(residual, tested, unit, span, rng, problem.conditions.time_s)
     # Of noise alone nothing has a share: without a finding only significant cells have.
     shown = [
         each
@@ -157,20 +157,25 @@ def _places(tested: Sequence[_Tested], p_values: list[float | None], shares: dic
 
 
 def _p_values(
-    residual: Floats, tested: Sequence[_Tested], unit: Integers, span: Projector, rng: np.random.Generator
+    residual: Floats,
+    tested: Sequence[_Tested],
+    unit: Integers,
+    span: Projector,
+    rng: np.random.Generator,
+    time_s: Floats | None,
 ) -> list[float | None]:
     """Family-wise p-value of each block; None: not testable."""
     p_values: list[float | None] = [None] * len(tested)
     by_runs = [i for i, each in enumerate(tested) if each.runs.size >= FEWEST_RUNS]
     by_blocks = _by_blocks(
-        residual, [(i, tested[i]) for i in set(range(len(tested))) - set(by_runs)], unit, span, rng
+        residual, [(i, tested[i]) for i in set(range(len(tested))) - set(by_runs)], unit, span, rng, time_s
     )
     weight = WEIGHT_OF_RUNS if by_blocks and by_runs else 1.0
     if by_runs:
         blocks = [tested[i].block for i in by_runs]
         size = sum(block.columns.shape[1] for block in blocks) * int(unit.max() + 1) * (span.basis.shape[1] + 1)
         flips = FLIPS if size < MANY_NUMBERS else FLIPS_OF_MANY
-        test = flip_test(residual, blocks, unit, span, flips=flips, rng=rng)
+        test = flip_test(residual, blocks, unit, span, flips=flips, rng=rng, time_s=time_s)
         for i, p_value in zip(by_runs, test.p_value, strict=True):
             p_values[i] = min(1.0, float(p_value) / (weight * WEIGHT_OF_MEANS))
     rest = WEIGHT_OF_MEANS * (1.0 - weight if by_runs else 1.0)
@@ -187,6 +192,7 @@ def _by_blocks(
     unit: Integers,
     span: Projector,
     rng: np.random.Generator,
+    time_s: Floats | None,
 ) -> dict[int, float]:
     """Own p-values of blocks that few runs carry, by flipping parts of these runs; too few parts: missing."""
     chosen: dict[tuple[int, ...], list[tuple[int, _Tested]]] = {}
@@ -197,8 +203,12 @@ def _by_blocks(
         parts = _parts(residual, np.array(runs, dtype=np.int64), unit)
         if parts is None or int(parts.max()) < FEWEST_BLOCKS:
             continue
-        inside = [each.block for _, each in blocks]
-        test = flip_test(residual, inside, parts, span, flips=FLIPS, rng=rng)
+        # The other runs are not cut: what little of a shape they carry would be one score of slow noise.
+        inside = [
+            replace(each.block, columns=np.where(parts[:, None] > 0, each.block.columns, 0.0))
+            for _, each in blocks
+        ]
+        test = flip_test(residual, inside, parts, span, flips=FLIPS, rng=rng, time_s=time_s)
         found |= {i: float(p) for (i, _), p in zip(blocks, test.own_p_value, strict=True)}
     return found
 

@@ -8,11 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from trueangle.contract.document import structure
+from trueangle.contract.joint import effect_settings
 from trueangle_training.diagnosis.attribution import Member
+from trueangle_training.diagnosis.joint_update import rounded
 from trueangle_training.diagnosis.problem import Problem
+from trueangle_training.effects.effect import Nature
 
 Floats = NDArray[np.float64]
 
+SAME_CURVE = 1e-3
+"""Relative difference up to which two columns are one: shapes have the angle a little smoothed."""
 _PAIR = re.compile(r"(.*?)_?(cos)_(.*)")
 
 
@@ -26,18 +32,90 @@ class Estimate:
 
 
 def estimates(problem: Problem, members: Sequence[Member]) -> dict[str, Estimate]:
-    """Amplitudes (with phases) and shape parameters; of several members of one effect the names are numbered."""
+    """Amplitudes (with phases) and shape parameters; of several members of one effect the names are numbered.
+
+    Bends that the effect's own settings can express are parameters too, as an updated JOINT.yaml holds them.
+    """
+    parts = [_Part.of(problem, member) for member in members]
+    for part in parts:
+        for other in parts:
+            if other is not part:
+                part.hand_over(other)
     found: dict[str, Estimate] = {}
-    for number, member in enumerate(members):
-        shape = problem.hypotheses[member.hypothesis_index]
+    for number, (part, member) in enumerate(zip(parts, members, strict=True)):
         after = f"_{number + 1}" if number else ""
-        mains = len(shape.coefficients)
-        covariance = member.covariance[:mains, :mains]
-        for name, estimate in _amplitudes(shape.coefficients, member.coefficients[:mains], covariance).items():
+        for name, estimate in _amplitudes(part.names, part.values, part.covariance).items():
             found[name + after] = estimate
-        for name, value in shape.shape.items():
+        for name, value in problem.hypotheses[member.hypothesis_index].shape.items():
             found[name + after] = Estimate(value=float(value), standard_uncertainty=None)
     return found
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class _Part:
+    """The coefficients of one member that have a name."""
+
+    names: tuple[str, ...]
+    mains: int
+    values: Floats
+    covariance: Floats
+
+    @classmethod
+    def of(cls, problem: Problem, member: Member) -> "_Part":
+        """The main coefficients, then the bends that are written."""
+        shape = problem.hypotheses[member.hypothesis_index]
+        mains = len(shape.coefficients)
+        bends = _written_bends(problem, member)
+        kept = [*range(mains), *(mains + place for place in bends)]
+        return cls(
+            names=(*shape.coefficients, *bends.values()),
+            mains=mains,
+            values=member.coefficients[kept].copy(),
+            covariance=member.covariance[np.ix_(kept, kept)].copy(),
+        )
+
+    def hand_over(self, other: "_Part") -> None:
+        """Bends that are the main part of another member are added to it: the file has one entry for both."""
+        shared = [i for i in range(self.mains, len(self.names)) if self.names[i] in other.names[: other.mains]]
+        theirs = [other.names.index(self.names[i]) for i in shared]
+        other.values[theirs] += self.values[shared]
+        other.covariance[np.ix_(theirs, theirs)] += self.covariance[np.ix_(shared, shared)]
+        left = [i for i in range(len(self.names)) if i not in shared]
+        self.names = tuple(self.names[i] for i in left)
+        self.values, self.covariance = self.values[left], self.covariance[np.ix_(left, left)]
+
+
+def _written_bends(problem: Problem, member: Member) -> dict[int, str]:
+    """Place among the wiggle's columns to the name of the coefficient, of bends that the update takes over.
+
+    They are named as the main column of another shape of the same effect that is the same curve.
+    """
+    shape = problem.hypotheses[member.hypothesis_index]
+    name = shape.effect
+    if name is None or shape.nature is not Nature.MEAN or name in problem.joint.effects:
+        return {}
+    effect = problem.library[name]
+    plain = rounded(effect.settings_of(shape, member.coefficients[: len(shape.coefficients)]))
+    own = structure(effect.settings, effect_settings(plain, name=name)).columns(problem.conditions, problem.joint)
+    found: dict[int, str] = {}
+    for place, bend in enumerate(shape.wiggle.T):
+        if not _among(bend, own):
+            continue
+        for other in problem.hypotheses:
+            if other.effect == name and other.shape == shape.shape:
+                names = [n for n, main in zip(other.coefficients, other.main.T, strict=True) if _same(bend, main)]
+                if names:
+                    found[place] = names[0]
+                    break
+    return found
+
+
+def _among(column: Floats, columns: Floats) -> bool:
+    return any(_same(column, other) for other in columns.T)
+
+
+def _same(one: Floats, other: Floats) -> bool:
+    return bool(np.linalg.norm(one - other) <= SAME_CURVE * np.linalg.norm(other))
 
 
 def _amplitudes(names: Sequence[str], values: Floats, covariance: Floats) -> dict[str, Estimate]:

@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueangle.contract.calibration import Campaign
+from trueangle_training.diagnosis.noise import NoiseModel
 from trueangle_training.diagnosis.problem import Problem
 from trueangle_training.diagnosis.recalibration import recalibration_span
+from trueangle_training.diagnosis.scatter import loud_run
 
 Floats = NDArray[np.float64]
 
@@ -34,6 +36,18 @@ def disturbed_note(campaign: Campaign, problem: Problem, cleaned_arcsec: Floats)
     )
     if any(last - first + 1 >= LONG_SPAN for first, last in together):
         note += "; several in a row can be counts lost for a while or to the end of the run, too: look at them"
+    return (note,)
+
+
+def loud_note(problem: Problem, noise: NoiseModel) -> tuple[str, ...]:
+    """Which run scatters beyond all others; () where none does."""
+    run = loud_run(problem, noise)
+    if run is None:
+        return ()
+    note = (
+        f"run {run} scatters far beyond all other runs, in no pattern of the library: look at its clamping, the "
+        "air, the light of the autocollimator; without that run the others can be judged"
+    )
     return (note,)
 
 

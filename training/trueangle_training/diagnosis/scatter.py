@@ -22,6 +22,8 @@ LEAST_NOISE = 0.25
 """Of a run's variance that is noise whatever the shape leaves."""
 LEAST_GROWTH = 1.15
 """Standard deviation at one end of the range over that at the other."""
+LOUD = 12.0
+"""Variance of a run over the median of its kind; heavy tails and bursts make up to 8 of it, once in a hundred."""
 LARGEST_RATIO = 4096
 """Stated counts over those really resolved."""
 FEWEST_STEPS = 20
@@ -87,6 +89,22 @@ def noise_growth(
         span = max(float(np.ptp(by_run[kinds == kind])) for kind in np.unique(kinds))
         found.append(Growth(condition=name, ratio=float(np.exp(slope * span)), p_value=p_value, log_slope=slope))
     return tuple(sorted(found, key=lambda each: (each.p_value, -each.ratio)))
+
+
+def loud_run(problem: Problem, noise: NoiseModel) -> int | None:
+    """The run, as the campaign numbers it, that scatters far beyond all others of its kind; None: none does."""
+    kinds = run_kinds(problem.conditions, noise.transform)
+    usable = np.isfinite(noise.run_variance) & (noise.run_freedom >= FEWEST_DEGREES)
+    loudest: tuple[float, int] = (LOUD, -1)
+    for kind in np.unique(kinds):
+        here = np.flatnonzero(usable & (kinds == kind))
+        if here.size < FEWEST_RUNS:
+            continue
+        ratio = noise.run_variance[here] / float(np.median(noise.run_variance[here]))
+        place = int(np.argmax(ratio))
+        loudest = max(loudest, (float(ratio[place]), int(here[place])))
+    run = loudest[1]
+    return None if run < 0 else int(problem.conditions.run[noise.transform.rows[run][0]])
 
 
 def coarser_ratio(conditions: Conditions) -> int | None:

@@ -262,7 +262,8 @@ def saturated_columns(problem: Problem, *, own_run: bool = True) -> Floats:
         parts += [speed[:, None] * first, np.abs(speed)[:, None] * first]
     if (direction := _centred(at.direction)) is not None:
         parts.append(direction[:, None] * np.column_stack([np.ones(theta.size), *orders[:8]]))
-    if (time := _centred(at.time_s)) is not None:
+    # Without a clock the order of the runs is one: what wanders over the campaign is seen in both.
+    if (time := _centred(run_index.astype(np.float64) if at.time_s is None else at.time_s)) is not None:
         parts.append(time[:, None] * first)
     place = within_run(problem)
     parts.append(np.column_stack([place, place**2]))

@@ -1,4 +1,4 @@
-"""Tests by flipping the signs of whole units, valid whatever the noise within a unit looks like.
+"""Tests by flipping the signs of whole units, whatever the noise within a unit looks like.
 
 The score of a column x in unit r is s_r = x_r' e_r, x and the errors e both outside the re-calibrated span P. If
 nothing but noise is there, the signs of all s_r are free. Studentised by the units' own scatter,
@@ -7,7 +7,8 @@ nothing but noise is there, the signs of all s_r are free. Studentised by the un
 
 for flips f; d(f) makes up for what the projection takes of a flipped column (Hemerik, Goeman and Finos 2020,
 doi:10.1111/rssb.12369; De Santis et al. 2022, arXiv:2209.13918). The largest T over all columns gives the
-family-wise p-value (Westfall and Young 1993).
+family-wise p-value (Westfall and Young 1993). Where noise with a memory makes scores of neighbouring units alike,
+the observed T is divided by what it exceeds that of independent units (`wander`).
 """
 
 from collections.abc import Sequence
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueangle_training.diagnosis.recalibration import Projector
+from trueangle_training.diagnosis.wander import excess
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -82,8 +84,13 @@ def flip_test(
     *,
     flips: int,
     rng: np.random.Generator,
+    time_s: Floats | None = None,
 ) -> FlipTest:
-    """Test blocks on a residual outside the span; `unit`: [readings], numbered from 0."""
+    """Test blocks on a residual outside the span; `unit`: [readings], numbered from 0.
+
+    `time_s`: when the readings were taken, which tells what noise with a memory adds from unit to unit; None: the
+    order of the readings is the clock.
+    """
     width = np.array([block.columns.shape[1] for block in blocks])
     columns = np.concatenate([block.columns for block in blocks], axis=1)
     starts = np.concatenate([[0], np.cumsum(width)[:-1]])
@@ -99,7 +106,9 @@ def flip_test(
     flipped = np.add.reduceat(summed**2 / left, starts, axis=1) / scatter
     # Blocks of two columns reach larger T by chance than those of one: each is measured by its own flips first.
     scale = np.mean(flipped, axis=0)
-    observed, flipped = observed / scale, flipped / scale
+    # What noise with a memory adds up over the units is not there in the flips; where it cancels, it is left so.
+    beyond = np.maximum(np.maximum.reduceat(excess(columns, unit, time_s), starts), 1.0)
+    observed, flipped = observed / (scale * beyond), flipped / scale
     own = (1.0 + np.sum(flipped >= observed, axis=0)) / (flips + 1.0)
     largest = np.sort(np.max(flipped, axis=1))
     above = flips - np.searchsorted(largest, observed, side="left")

@@ -13,7 +13,7 @@ from trueangle_training.diagnosis.confidence import Grounds, class_probability
 from trueangle_training.diagnosis.design_check import CARRIED, Design
 from trueangle_training.diagnosis.parameters import Estimate, estimates
 from trueangle_training.diagnosis.problem import Problem
-from trueangle_training.diagnosis.scatter import Growth, coarser_ratio, noise_growth
+from trueangle_training.diagnosis.scatter import Growth, coarser_ratio, loud_run, noise_growth
 from trueangle_training.effects.cells import Cell
 from trueangle_training.effects.effect import Nature
 
@@ -30,6 +30,8 @@ GROWTH_BESIDE_OTHERS_P = 0.0005
 ABOVE_ROUNDING = 1.5
 BESIDE_ROUNDING = 0.5
 """Highest probability of a cause whose curve is no larger than that of a resolution found too coarse."""
+LOUD_CELL = Cell(order="0", time="between_runs", moment="variance")
+"""Of a run that scatters beyond all others, in no pattern that the library or a generic one has."""
 WIDE = 10
 """Columns of a pattern."""
 WEAK_GENERIC = 20.0
@@ -113,6 +115,8 @@ def verdict_of(problem: Problem, attribution: Attribution, design: Design) -> Ve
         causes.append(lattice)
     causes.sort(key=lambda cause: -cause.class_probability)
     unexplained = _unexplained(problem, attribution, design, generic)
+    if growth is None and not unexplained.significant and loud_run(problem, attribution.noise) is not None:
+        unexplained = replace(unexplained, significant=True, cells=(LOUD_CELL,))
     if any(cause.class_probability >= NAMED_FROM for cause in causes):
         kind = VerdictKind.NAMED
     elif causes or unexplained.significant:

@@ -237,11 +237,9 @@ def _mean_model(mixture: KernelMixture) -> tuple[Floats, TemperatureBasis, Float
 
     f(T) is a sum of kernels to the nodes with weights Q (q - P z), q and P the likelihood's, z the posterior mean.
     """
-    grid, likelihood = mixture.grid, mixture.likelihood
+    grid, likelihood, means = mixture.grid, mixture.likelihood, mixture.means()
     orders, nodes = mixture.weight.shape[0], grid.nodes_c.size
-    dual = likelihood.information[:, None] - np.einsum(
-        "nij,ngj->ngi", _each(likelihood.precision, orders), mixture.mean
-    )
+    dual = likelihood.information[:, None] - np.einsum("nij,ngj->ngi", _each(likelihood.precision, orders), means)
     at_nodes = dual.reshape(orders, -1, 2, nodes - 1) @ grid.contrast.T
     middle_c = float(grid.nodes_c.mean())
     t = (grid.nodes_c - middle_c) / SCALE_C
@@ -257,7 +255,7 @@ def _mean_model(mixture: KernelMixture) -> tuple[Floats, TemperatureBasis, Float
         bell_centre=tuple(np.tile(t, len(LENGTHS_C)).tolist()),
         bell_length=tuple(np.repeat(np.array(LENGTHS_C) / SCALE_C, nodes).tolist()),
     )
-    contrasts = np.einsum("ng,ngi->ni", mixture.weight, mixture.mean)
+    contrasts = np.einsum("ng,ngi->ni", mixture.weight, means)
     falls = np.einsum("nci,ni->nc", _each(likelihood.constant_slope, orders), contrasts)
     constant = likelihood.constant - falls
     by_function = np.stack([constant, slope, *(bell[:, :, j] for bell in bells for j in range(nodes))])
@@ -276,7 +274,7 @@ def _harmonic_covariances(mixture: KernelMixture, nodes_c: Floats) -> Floats:
     Under one kernel they are K - F S F', F = (covariance with the contrasts, ones), S the readings' share of it.
     """
     orders = mixture.weight.shape[0]
-    likelihood, twice = mixture.likelihood, np.eye(2)
+    likelihood, means, twice = mixture.likelihood, mixture.means(), np.eye(2)
     precision = _each(likelihood.precision, orders)
     slope, constant = _each(likelihood.constant_slope, orders), _each(likelihood.constant_covariance, orders)
     ones = np.kron(twice, np.ones((nodes_c.size, 1)))
@@ -295,8 +293,8 @@ def _harmonic_covariances(mixture: KernelMixture, nodes_c: Floats) -> Floats:
         share = np.concatenate([upper, np.concatenate([moves, -of_constant], axis=2)], axis=1)
         reach = np.concatenate([np.kron(twice, across[number]), ones], axis=1)
         covariance = np.kron(twice, own[number]) - reach @ share @ reach.T
-        dual = likelihood.information - np.einsum("nij,nj->ni", precision, mixture.mean[:, kernel])
-        level = likelihood.constant - np.einsum("nci,ni->nc", slope, mixture.mean[:, kernel])
+        dual = likelihood.information - np.einsum("nij,nj->ni", precision, means[:, kernel])
+        level = likelihood.constant - np.einsum("nci,ni->nc", slope, means[:, kernel])
         at = np.concatenate([dual, level], axis=1) @ reach.T
         weight = weights[:, number]
         total += weight[:, None, None] * (covariance + at[:, :, None] * at[:, None, :])

@@ -144,20 +144,31 @@ class ContrastLikelihood:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class KernelMixture:
-    """Every kernel's weight for every harmonic, and the contrasts' posterior under each."""
+    """Every kernel's weight for every harmonic; from them the contrasts' posterior under each."""
 
     grid: KernelGrid
     likelihood: ContrastLikelihood
     weight: Floats
     """[orders, kernels], rows sum to 1."""
-    mean: Floats
-    """[orders, kernels, 2 (m - 1)]; 0 for kernels that no harmonic gives weight."""
     log_evidence: float
     """Of the whole campaign with the shares as found, up to a constant of the campaign."""
 
     def prior_covariance(self) -> Floats:
         """The mixture's prior covariance of one component's contrasts, [orders, m - 1, m - 1]."""
         return np.tensordot(self.weight, self.grid.contrasted, axes=1)
+
+    def means(self) -> Floats:
+        """The contrasts' posterior mean, [orders, kernels, 2 (m - 1)]; 0 for kernels without weight.
+
+        Not kept with the weights: coupled harmonics weigh the kernels many times and ask for the mean once.
+        """
+        counted = self.weight.max(axis=0) > 0.0
+        roots = _for_both(self.grid.root[counted])
+        projected = np.einsum("gik,ni->ngk", roots, self.likelihood.information)
+        solved = np.linalg.solve(_inner(self.likelihood, roots), projected[..., None])[..., 0]
+        mean = np.zeros((*self.weight.shape, self.likelihood.information.shape[1]))
+        mean[:, counted] = np.einsum("gik,ngk->ngi", roots, solved)
+        return mean
 
     def covariances(self, kernels: Integers) -> Floats:
         """The contrasts' posterior covariance under some kernels, [orders or 1, kernels, 2 (m - 1), 2 (m - 1)]."""
@@ -166,18 +177,13 @@ class KernelMixture:
 
 
 def weigh_kernels(likelihood: CoefficientLikelihood, grid: KernelGrid) -> KernelMixture:
-    """Exact posteriors under all kernels, weighed by evidence and by shares common to the harmonics."""
+    """All kernels, weighed by exact evidence and by shares common to the harmonics."""
     contrasts = ContrastLikelihood.of(likelihood, grid.contrast)
     weight, log_evidence = _shares(_log_likelihood(contrasts, grid), grid.choice)
     counted = weight.max(axis=0) > NEGLIGIBLE_WEIGHT
     weight = np.where(counted, weight, 0.0)
     weight /= weight.sum(axis=1, keepdims=True)
-    roots = _for_both(grid.root[counted])
-    projected = np.einsum("gik,ni->ngk", roots, contrasts.information)
-    solved = np.linalg.solve(_inner(contrasts, roots), projected[..., None])[..., 0]
-    mean = np.zeros((*weight.shape, contrasts.information.shape[1]))
-    mean[:, counted] = np.einsum("gik,ngk->ngi", roots, solved)
-    return KernelMixture(grid=grid, likelihood=contrasts, weight=weight, mean=mean, log_evidence=log_evidence)
+    return KernelMixture(grid=grid, likelihood=contrasts, weight=weight, log_evidence=log_evidence)
 
 
 def _inner(likelihood: ContrastLikelihood, roots: Floats) -> Floats:
