@@ -37,13 +37,13 @@ SMOOTHEST_OWN_PATTERN = 12
 LEAST_LEFT = 0.2
 LONGEST_BURST = 8
 """Readings."""
-LONGEST_AT_END = 4
+LONGEST_AT_END = 6
 """Readings at the beginning or end of a run that are a burst and no step."""
 BURST_GAIN = 10.0
 """Half the energy of a burst in units of the variance: nats that taking it out wins."""
 RUNS_WITH_BURST = 0.12
 """Share of the runs, at least one run: with more of them it is no accident but structure."""
-ORDINARY_REST = 2.5
+ORDINARY_REST = 4.0
 """Variance of a run without its burst over the median of all runs: beyond it the run is odd as a whole."""
 
 

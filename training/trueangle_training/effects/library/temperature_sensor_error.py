@@ -25,6 +25,8 @@ from trueangle_training.effects.patterns import beside, no_columns
 
 Floats = NDArray[np.float64]
 
+_DOUBT_NATS = 3.0
+"""Where it can be seen at all, eccentricity makes the same pattern, and does so twenty times as often."""
 _RESPONSES = {
     "thermal_eccentricity": (ThermalEccentricitySettings, ((1, 1),)),
     "thermal_tilt": (ThermalTiltSettings, ((2, 1),)),
@@ -125,6 +127,7 @@ def hypotheses(conditions: Conditions) -> Iterator[Hypothesis]:
             main=main[:, None],
             coefficients=(name,),
             wiggle=no_columns(len(conditions)),
+            doubt_nats=_DOUBT_NATS,
         )
 
 
