@@ -201,3 +201,17 @@ def test_an_update_with_one_of_a_class_says_that_it_stands_for_the_others(joint:
     report = diagnosis(measured, joint, "out", update=joint.with_name("updated.yaml"))
     (cause,) = [each for each in report["causes"] if len(each["class"]) > 1]
     assert f"{cause['effect']} is written for one of {', '.join(cause['class'])}" in capsys.readouterr().out
+
+
+def test_an_error_of_the_interpolation_lies_at_the_lines_not_at_orders_that_look_like_them(tmp_path: Path) -> None:
+    found = simulated(
+        tmp_path,
+        "  subdivision_error:\n"
+        "    harmonics:\n"
+        "    - {per_line: 1, amplitude_arcsec: 1.2, phase_deg: 20}\n"
+        "    - {per_line: 2, amplitude_arcsec: 1.2, phase_deg: 70}\n",
+    )
+    report = diagnosis(found, tmp_path / "known.yaml", "out")
+    assert [cause["effect"] for cause in report["causes"]] == ["subdivision_error"]
+    assert report["where"][0]["cell"]["order"] in ("N", "2N")
+    assert report["where"][0]["share"] > 0.9

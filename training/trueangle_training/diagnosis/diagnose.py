@@ -15,6 +15,7 @@ from trueangle.contract.document import structure
 from trueangle.contract.joint import Joint
 from trueangle_training.diagnosis import verdict as which
 from trueangle_training.diagnosis.attribution import Attribution, attribute
+from trueangle_training.diagnosis.choice import NARROW
 from trueangle_training.diagnosis.closure import Closure, closure_of
 from trueangle_training.diagnosis.constancy import drifting
 from trueangle_training.diagnosis.curve_checks import other_joint_faults
@@ -54,6 +55,7 @@ SEED = 0
 MEND_FIRST = "Mend the file, or measure again what is wrong in it; then diagnose again."
 SIMPLE_COLUMNS = 2
 """Cosine and sine of one order: what one cell says in full."""
+LINE_ORDERS = ("N", "2N", "4N")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -278,6 +280,9 @@ def _found_parts(problem: Problem, attribution: Attribution) -> tuple[FoundPart,
 
 def _cell_fit(shape: Hypothesis) -> CellFit:
     if shape.main.shape[1] <= SIMPLE_COLUMNS:
+        return CellFit.WHOLE
+    if shape.cell.order in LINE_ORDERS or (shape.effect is None and shape.main.shape[1] <= NARROW):
+        # Sums of line orders, and one order that drifts along a parabola: one place, which no cell alone carries.
         return CellFit.WHOLE
     if shape.family == ODD_RUN_FAMILY or shape.cell.frame == "polygon":
         return CellFit.ANY_ORDER

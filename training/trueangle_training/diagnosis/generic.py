@@ -65,7 +65,7 @@ def generic_hypotheses(conditions: Conditions, library: Mapping[str, LibraryEffe
         *_plain(axes, conditions, taken),
         *_bent_in_temperature(axes),
         *_crossed(axes),
-        *_drawn_by_run(axes),
+        *_drawn_by_run(axes, library),
         *_in_time(axes),
         *_at_places(axes, conditions, library),
     ):
@@ -223,13 +223,13 @@ def _crossed(axes: Axes) -> Iterator[Hypothesis]:
             yield _pattern(f"order {order}, {label}", placed, columns, family=label)
 
 
-def _drawn_by_run(axes: Axes) -> Iterator[Hypothesis]:
+def _drawn_by_run(axes: Axes, library: Mapping[str, LibraryEffect]) -> Iterator[Hypothesis]:
     """A draw of its own in each run, one odd run, a step between runs."""
     if axes.runs < 2:
         return
     one_hot = (axes.run_index[:, None] == np.arange(axes.runs)).astype(np.float64)
     if axes.runs <= MOST_RUNS_DRAWN:
-        for order in (2, 3, 4, 5):
+        for order in range(2 if "run_to_run_eccentricity" in library else 1, 6):
             cell = Cell(order=str(order), time="between_runs")
             columns = _times(one_hot, axes.cosine_sine(order))
             yield _pattern(
@@ -256,7 +256,7 @@ def _drawn_by_run(axes: Axes) -> Iterator[Hypothesis]:
                 family=ODD_RUN_FAMILY,
                 nature=Nature.EVENT,
             )
-    for order in (1, 2, 3):
+    for order in range(1, 6 if axes.runs <= FEW_RUNS else 4):
         for run in range(2, axes.runs - 1) if axes.runs <= MOST_RUNS_DRAWN else ():
             later = (axes.run_index >= run).astype(np.float64)[:, None]
             yield _pattern(
