@@ -122,10 +122,12 @@ def _scatter_reason(problem: Problem, name: str) -> str | None:
 
 
 def _missing(problem: Problem, name: str) -> str:
-    """The column or change of conditions that the campaign lacks, as far as the effect's cells tell."""
+    """The columns that the campaign lacks, or the change of conditions, as far as the effect's cells tell."""
     conditions, axes = problem.conditions, axes_of(problem.conditions)
     cells = problem.library[name].cells
-    lacking: list[str] = []
+    lacking = [column for column in problem.library[name].needs if getattr(conditions, column) is None]
+    if lacking:
+        return "the campaign lacks " + " and ".join(lacking)
     if any(cell.temperature != "constant" for cell in cells) and axes.temperature is None:
         lacking.append("temperature_c" if conditions.temperature_c is None else "a second temperature")
     if any(cell.direction == "odd" for cell in cells) and axes.direction is None:
