@@ -11,7 +11,7 @@ import pytest
 from trueangle.contract.calibration import read_campaign
 from trueangle_training.documents import load_joint
 from trueangle_training.plant.bench import error_arcsec, indicate, zeroed
-from trueangle_training.plant.cases import Case, draw_case
+from trueangle_training.plant.cases import Case, _measured, draw_case
 from trueangle_training.plant.contribution import Contribution, Setting, together
 from trueangle_training.plant.data_faults import DATA_FAULTS
 from trueangle_training.plant.fitting import CaseNotFoundError, Wish
@@ -35,6 +35,7 @@ from trueangle_training.plant.noise import ornstein_uhlenbeck
 from trueangle_training.plant.schedule import PlanName, draw_schedule
 from trueangle_training.plant.simulator_reach import Listing, containments, recalibrated_span
 from trueangle_training.plant.unknown_defects import ON_ANY_PLAN, ON_RICH_PLAN
+from trueangle_training.plant.world import draw_world
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "training" / "trueangle_training"
@@ -395,3 +396,17 @@ def test_the_listing_is_drawn_alike_for_all_cases() -> None:
     assert np.mean([1 in each.constant for each in listings]) == pytest.approx(0.85, abs=0.06)
     assert any(len(each.constant) >= 11 for each in listings)
     assert any(not each.constant for each in listings)
+
+
+@pytest.mark.parametrize(("constant", "seen"), [((1, 2), True), ((2,), False)])
+def test_a_sensors_bias_shows_only_where_re_calibration_takes_it_up(constant: tuple[int, ...], seen: bool) -> None:
+    world = replace(
+        draw_world("paper", np.random.default_rng(11)), listing=Listing(constant=constant, thermal=(1,))
+    )
+    shown_c = [
+        _measured(
+            replace(world, sensor=replace(world.sensor, bias_c=bias_c)), (), np.random.default_rng(3)
+        ).temperature_c
+        for bias_c in (0.0, 5.0)
+    ]
+    assert bool(np.any(shown_c[0] != shown_c[1])) is seen

@@ -46,6 +46,9 @@ def draw_case(wish: Wish) -> Case:
 
 def _measured(world: World, sized: tuple[Sized, ...], rng: np.random.Generator) -> Measured:
     sensor = world.sensor
+    if not set(world.listing.thermal) <= set(world.listing.constant):
+        # Its bias would show as a constant pattern that nothing listed takes up: an effect, no ordinary sensor.
+        sensor = replace(sensor, bias_c=0.0)
     for each in sized:
         if each.defect.name == "temperature_sensor_error":
             parameters = each.defect.parameters
