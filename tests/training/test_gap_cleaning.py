@@ -85,3 +85,9 @@ def test_a_step_in_one_run_is_no_burst(first: int, last: int) -> None:
     rows = range(FACES * 6 + first, FACES * 6 + last)
     found = _cleaned(_with(dict.fromkeys(rows, 7.0)))
     assert np.mean(found.replaced[list(rows)]) < 0.2
+
+
+def test_a_step_whose_first_reading_noise_has_pushed_back_is_no_burst() -> None:
+    rows = range(FACES * 6, FACES * 6 + 8)
+    found = _cleaned(_with({row: (1.0 if row == FACES * 6 else 7.0) for row in rows}))
+    assert np.mean(found.replaced[list(rows)[1:]]) < 0.3

@@ -197,7 +197,7 @@ def _bursts(residual: Floats, problem: Problem, scale_group: Integers) -> list[_
             values -= np.mean(values)
     odd = {burst.run for burst in found if not burst.ordinary}
     # With the offsets free a burst that begins or ends its run is a step, and so are two that go on in each other.
-    odd |= {burst.run for burst in found if _is_step(burst, runs[burst.run])}
+    odd |= {burst.run for burst in found if _is_step(burst, runs)}
     odd |= {
         one.run
         for one, other in pairwise(sorted(found, key=lambda burst: (burst.run, _place(burst, runs)[0])))
@@ -216,9 +216,10 @@ def _place(burst: _Burst, runs: Sequence[Integers]) -> tuple[int, int]:
     return int(places[0]), int(places[-1])
 
 
-def _is_step(burst: _Burst, rows: Integers) -> bool:
-    at_an_end = burst.rows[0] == rows[0] or burst.rows[-1] == rows[-1]
-    return bool(at_an_end and burst.rows.size > LONGEST_AT_END)
+def _is_step(burst: _Burst, runs: Sequence[Integers]) -> bool:
+    """A reading that noise has pushed back may stand between a step and its end of the run."""
+    first, last = _place(burst, runs)
+    return burst.rows.size > LONGEST_AT_END and (first <= 1 or last >= runs[burst.run].size - 2)
 
 
 def _burst_of_run(values: Floats, rows: Integers, number: int, variance: float) -> _Burst | None:
