@@ -30,7 +30,7 @@ from trueangle_training.diagnosis.design_check import design_check
 from trueangle_training.diagnosis.problem import Problem, problem_of
 from trueangle_training.diagnosis.verdict import verdict_of
 from trueangle_training.effects import EFFECTS
-from trueangle_training.effects.effect import Hypothesis, Nature
+from trueangle_training.effects.effect import Hypothesis
 from trueangle_training.plant.cases import draw_case
 from trueangle_training.plant.fitting import CaseNotFoundError, Wish
 from trueangle_training.plant.library_defects import LIBRARY_DEFECTS
@@ -99,7 +99,7 @@ def judged(task: tuple[int, str]) -> list[Seen]:
             what=f"{seed} {error} {enr:g} {sorted(true)} -> {cause.effect}",
         )
         for cause in verdict.causes
-        if cause.nature is not Nature.VARIANCE
+        if cause.grounds is not None
     ]
 
 

@@ -184,7 +184,7 @@ def test_angles_that_are_no_whole_counts_show_no_lattice() -> None:
 
 
 def test_the_probability_rises_with_the_margin_and_falls_with_what_the_rule_leaves() -> None:
-    base = Grounds(margin=3.0, log_evidence=10.0, left=0.02, by_named_share=False)
+    base = Grounds(margin=3.0, left=0.02, by_named_share=False)
     middle = class_probability(base)
     assert class_probability(replace(base, margin=7.0)) > middle
     assert class_probability(replace(base, margin=-6.0)) < 0.5

@@ -10,14 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trueangle_training.diagnosis.choice import LEFT_TO_GENERIC
+
 COEFFICIENTS = (0.595, 0.276, -1.466)
 """Of `features`, in their order."""
-LOWEST, HIGHEST = 0.01, 0.98
-"""No finite number of cases tells more."""
 MARGIN_COUNTED = 8.0
 """Nats; beyond it the library's errors decide, not the noise."""
-MOST_LEFT = 0.1
-"""Share that names may leave to a generic pattern and still be the answer."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,8 +24,6 @@ class Grounds:
 
     margin: float
     """Log evidence of the name less that of the best effect or generic pattern outside its class, nats."""
-    log_evidence: float
-    """Given the other members, penalty taken off, nats."""
     left: float
     """Share that the best generic pattern would still take, 0 to 1."""
     by_named_share: bool
@@ -35,16 +31,15 @@ class Grounds:
 
 
 def features(grounds: Grounds) -> tuple[float, float, float]:
-    """1; the margin, counted to 8 nats either way; what the rule leaves to a generic pattern, up to a tenth.
+    """1; the margin, counted to 8 nats either way; what the rule leaves to a generic pattern, 1 where it ends.
 
-    A tenth is where the rule ends: one that leaves next to nothing costs next to nothing.
+    A rule that leaves next to nothing costs next to nothing.
     """
     margin = float(np.clip(grounds.margin, -MARGIN_COUNTED, MARGIN_COUNTED))
-    left = float(np.clip(grounds.left / MOST_LEFT, 0.0, 1.0))
+    left = float(np.clip(grounds.left / LEFT_TO_GENERIC, 0.0, 1.0))
     return (1.0, margin, left if grounds.by_named_share else 0.0)
 
 
 def class_probability(grounds: Grounds) -> float:
     """Probability, 0 to 1, that the class holds the true effect."""
-    value = float(np.dot(COEFFICIENTS, features(grounds)))
-    return float(np.clip(1.0 / (1.0 + np.exp(-np.clip(value, -30.0, 30.0))), LOWEST, HIGHEST))
+    return float(1.0 / (1.0 + np.exp(-np.dot(COEFFICIENTS, features(grounds)))))

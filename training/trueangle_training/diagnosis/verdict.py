@@ -64,7 +64,8 @@ class Cause:
     """Of all that is explained, 0 to 1."""
     members: tuple[int, ...]
     """In `Attribution.members`; none for effects of the scatter."""
-    grounds: Grounds
+    grounds: Grounds | None
+    """None for effects of the scatter: their probability comes from a test of its own."""
     growth: Growth | None = None
     """Of noise that grows: with what."""
 
@@ -142,7 +143,6 @@ def _cause(problem: Problem, attribution: Attribution, design: Design, name: str
     effect_class = _class(problem, design, name, carried, rivals, own)
     grounds = Grounds(
         margin=own - _best_outside(problem, design, _standing(problem, attribution, rivals), effect_class, curve),
-        log_evidence=own,
         left=attribution.left_to_generic,
         by_named_share=attribution.by_named_share,
     )
@@ -252,12 +252,6 @@ def _growth(problem: Problem, attribution: Attribution) -> Cause | None:
         return None
     # Two or three conditions were tried; a ratio near 1.15 is at the edge of what exchanging runs can tell.
     probability = float(np.clip(1.0 - 40.0 * best.p_value, 0.5, 0.97))
-    grounds = Grounds(
-        margin=-float(np.log(best.p_value)),
-        log_evidence=-float(np.log(best.p_value)),
-        left=attribution.left_to_generic,
-        by_named_share=False,
-    )
     return Cause(
         effect="noise_growth",
         probability=probability,
@@ -267,7 +261,7 @@ def _growth(problem: Problem, attribution: Attribution) -> Cause | None:
         parameters={f"growth_over_{best.condition}": Estimate(value=best.ratio, standard_uncertainty=0.0)},
         share=0.0,
         members=(),
-        grounds=grounds,
+        grounds=None,
         growth=best,
     )
 
@@ -294,7 +288,7 @@ def _lattice(problem: Problem) -> Cause | None:
         },
         share=0.0,
         members=(),
-        grounds=Grounds(margin=40.0, log_evidence=40.0, left=0.0, by_named_share=False),
+        grounds=None,
     )
 
 
