@@ -50,6 +50,15 @@ def test_a_place_that_stands_out_although_nothing_was_found_is_explained() -> No
     assert not [each for each in wording.summary_lines(NONE) if each.startswith("where")]
 
 
+def test_another_place_that_the_plan_does_not_rule_out_is_told() -> None:
+    other = replace(PLACES[2], could_carry=0.6)
+    findings = replace(NAMED, where=(PLACES[0], other, *PLACES[1:2]))
+    words = "which this plan does not rule out: twice a turn, temperature"
+    assert any(words in each for each in wording.summary_lines(findings))
+    assert words in " ".join(made_page(findings).split())
+    assert not wording.elsewhere_words(replace(NAMED, where=PLACES))
+
+
 def test_the_terminal_hears_the_notes() -> None:
     assert "was ignored" in line(NAMED, "note")
 

@@ -7,7 +7,7 @@ from tests.training.gap_campaigns import SIGMA_ARCSEC, campaign, problem
 from trueangle.contract.calibration import read_campaign
 from trueangle.contract.document import document_from_plain
 from trueangle.contract.joint import joint_from_document
-from trueangle_training.diagnosis.location import CellFit, FoundPart, where
+from trueangle_training.diagnosis.location import CellFit, Elsewhere, FoundPart, where
 from trueangle_training.diagnosis.problem import Problem
 from trueangle_training.diagnosis.recalibration import recalibration_span
 from trueangle_training.diagnosis.scatter_map import run_homogeneity
@@ -65,6 +65,30 @@ def test_what_was_found_leads_the_map() -> None:
     assert found[0].cell == cell
     assert sum(each.share for each in found) == pytest.approx(1.0)
     assert found[0].share > 0.95
+
+
+def test_another_likely_cell_comes_second_and_takes_no_share() -> None:
+    made = problem(campaign(22, lambda theta, t, run: 0.5 * np.cos(5 * theta)))
+    curve = 0.5 * np.cos(5 * np.radians(made.conditions.angle_deg))
+    polygon, cell = Cell(order="0", frame="polygon"), Cell(order="5")
+    other = Elsewhere(cell=polygon, carried=0.97)
+    found = places(made, FoundPart(cell=cell, fit=CellFit.WHOLE, curve_arcsec=curve, elsewhere=other))
+    assert [each.cell for each in found[:2]] == [cell, polygon]
+    assert found[1].could_carry == pytest.approx(0.97)
+    assert found[1].share < 0.05
+
+
+def test_a_shape_that_no_cell_says_in_full_is_followed_by_the_nearest_cell() -> None:
+    """A saturating creep: its own cell first, then the straight line in time that comes nearest."""
+    made = problem(campaign(22, directions=(1, -1)))
+    run = made.conditions.run
+    place = np.concatenate([np.linspace(0.0, 1.0, int(np.sum(run == each))) for each in np.unique(run)])
+    curve = np.where(made.conditions.direction == 1, 1.0, -1.0) * (1.0 - np.exp(-3.0 * place))
+    own = Cell(order="0", direction="odd", time="within_run")
+    found = places(made, FoundPart(cell=own, fit=CellFit.WHOLE, curve_arcsec=curve))
+    assert found[0].cell == own
+    assert found[0].could_carry < found[1].could_carry <= 1.0
+    assert found[1].share == 0.0
 
 
 def test_cells_of_few_runs_are_not_testable_and_say_how_many_are_needed() -> None:

@@ -12,11 +12,13 @@ from trueangle_training.diagnosis.attribution import attribute
 from trueangle_training.diagnosis.confidence import Grounds, class_probability
 from trueangle_training.diagnosis.design_check import design_check
 from trueangle_training.diagnosis.diagnose import diagnose, prepare, update_of
+from trueangle_training.diagnosis.found_parts import found_parts
 from trueangle_training.diagnosis.plain_notes import loud_note
 from trueangle_training.diagnosis.problem import Problem, problem_of
 from trueangle_training.diagnosis.scatter import coarser_ratio, loud_run, noise_growth
 from trueangle_training.diagnosis.verdict import Verdict, VerdictKind, verdict_of
 from trueangle_training.effects import EFFECTS
+from trueangle_training.effects.cells import Cell
 
 Floats = NDArray[np.float64]
 
@@ -211,3 +213,32 @@ def test_the_parameters_of_hysteresis_are_those_that_the_updated_joint_has() -> 
         listed = cause.parameters[f"order_{each['order']}_amplitude_arcsec"]
         assert listed.standard_uncertainty is not None
         assert listed.value == pytest.approx(each["amplitude_arcsec"], abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("temperatures_c", "clock"), [(RISING_C, True), ((*RISING_C[::2], *RISING_C[::-2]), False)]
+)
+def test_where_no_temperature_comes_again_a_bend_in_temperature_may_lie_between_the_runs(
+    temperatures_c: tuple[float, ...], clock: bool
+) -> None:
+    problem = _problem(
+        51, lambda theta, t, run: 1.2 * np.sin(t / 3.0) * np.cos(6 * theta), temperatures_c=temperatures_c
+    )
+    attribution = attribute(problem)
+    (part,) = found_parts(problem, attribution, design_check(problem.without_errors()).spans)
+    assert part.cell.order == "6"
+    assert part.cell.temperature != "constant"
+    between = Cell(order="6", time="between_runs")
+    assert (part.elsewhere is not None and part.elsewhere.cell == between) == clock
+
+
+def test_a_constant_order_on_a_polygon_may_be_another_pattern_over_the_faces() -> None:
+    problem = _problem(52, lambda theta, t, run: 0.8 * np.cos(5 * theta))
+    attribution = attribute(problem)
+    (part,) = found_parts(problem, attribution, design_check(problem.without_errors()).spans)
+    assert part.cell == Cell(order="5")
+    assert part.elsewhere is not None
+    assert part.elsewhere.carried > 0.95
+    elsewhere = part.elsewhere.cell
+    assert (elsewhere.temperature, elsewhere.time) == ("constant", "constant")
+    assert elsewhere.frame == "polygon" or elsewhere.order in ("N", "2N", "4N", "non-integer", "localized")

@@ -15,7 +15,6 @@ from trueangle.contract.document import structure
 from trueangle.contract.joint import Joint
 from trueangle_training.diagnosis import verdict as which
 from trueangle_training.diagnosis.attribution import Attribution, attribute
-from trueangle_training.diagnosis.choice import NARROW
 from trueangle_training.diagnosis.closure import Closure, closure_of
 from trueangle_training.diagnosis.constancy import drifting
 from trueangle_training.diagnosis.curve_checks import other_joint_faults
@@ -33,9 +32,9 @@ from trueangle_training.diagnosis.findings import (
     Unexplained,
     conclusion_of,
 )
-from trueangle_training.diagnosis.generic import ODD_RUN_FAMILY
+from trueangle_training.diagnosis.found_parts import found_parts
 from trueangle_training.diagnosis.joint_update import FoundShape, JointUpdate, growth_settings, joint_update
-from trueangle_training.diagnosis.location import CellFit, FoundPart, where
+from trueangle_training.diagnosis.location import where
 from trueangle_training.diagnosis.next_measurement import next_measurement
 from trueangle_training.diagnosis.overlooked import OVERLOOKED, more_than_noise, overlooked
 from trueangle_training.diagnosis.plain_notes import disturbed_note, loud_note, one_way_note, still_said
@@ -53,9 +52,6 @@ STAGES = ("data", "attribution", "shares", "places", "closure", "end task")
 SEED = 0
 """Of sign flips and bootstraps: the same file gives the same report."""
 MEND_FIRST = "Mend the file, or measure again what is wrong in it; then diagnose again."
-SIMPLE_COLUMNS = 2
-"""Cosine and sine of one order: what one cell says in full."""
-LINE_ORDERS = ("N", "2N", "4N")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -180,7 +176,12 @@ def _with_physics(prepared: Prepared, checks: DataChecks, progress: Callable[[in
     floor_arcsec2 = _floor_arcsec2(attribution, shares)
     progress(3)
     rng = np.random.default_rng(SEED)
-    places = where(cleaned, floor_arcsec2=floor_arcsec2, rng=rng, found=_found_parts(problem, attribution))
+    places = where(
+        cleaned,
+        floor_arcsec2=floor_arcsec2,
+        rng=rng,
+        found=found_parts(problem, attribution, prepared.design.spans),
+    )
     places = _with_scatter(places, answer)
     progress(4)
     named = tuple(cause.effect for cause in answer.named)
@@ -270,39 +271,23 @@ def _gap(shares: Shares | None, closure: Closure) -> Gap:
     )
 
 
-def _found_parts(problem: Problem, attribution: Attribution) -> tuple[FoundPart, ...]:
-    shapes = [(problem.hypotheses[member.hypothesis_index], member) for member in attribution.members]
-    return tuple(
-        FoundPart(cell=shape.cell, fit=_cell_fit(shape), curve_arcsec=member.curve_arcsec)
-        for shape, member in shapes
-    )
-
-
-def _cell_fit(shape: Hypothesis) -> CellFit:
-    if shape.main.shape[1] <= SIMPLE_COLUMNS:
-        return CellFit.WHOLE
-    if shape.cell.order in LINE_ORDERS or (shape.effect is None and shape.main.shape[1] <= NARROW):
-        # Sums of line orders, and one order that drifts along a parabola: one place, which no cell alone carries.
-        return CellFit.WHOLE
-    if shape.family == ODD_RUN_FAMILY or shape.cell.frame == "polygon":
-        return CellFit.ANY_ORDER
-    # Own draws of one order in each run have many columns and yet one place.
-    return CellFit.WHOLE if shape.nature is Nature.RANDOM else CellFit.HINT
-
-
 def _with_scatter(places: tuple[Place, ...], answer: which.Verdict) -> tuple[Place, ...]:
-    """Where nothing but scatter was found, its cells come first and have all of it."""
+    """Where nothing but scatter is named, its cell comes first; it has all of it if nothing else was found."""
     if answer.unexplained.cells == (which.LOUD_CELL,):
         loud = Place(cell=which.LOUD_CELL, share=0.0, p_value=None, significant=True, runs_needed=None)
         return (loud, *(place for place in places if place.cell != loud.cell))
-    if not answer.named or any(cause.nature is not Nature.VARIANCE for cause in answer.causes):
+    if not answer.named or any(cause.nature is not Nature.VARIANCE for cause in answer.named):
         return places
     cells = {cell for cause in answer.named for cell in EFFECTS[cause.effect].cells}
     there = [place for place in places if place.cell in cells]
     significant = [place for place in there if place.significant]
-    chosen = (significant or there or [_place_of(answer.named[0].effect)])[:1]
-    first = replace(chosen[0], share=1.0, significant=True)
-    return (first, *(replace(place, share=0.0) for place in places if place.cell != first.cell))
+    chosen = (significant or there or [_place_of(answer.named[0].effect)])[0]
+    others = (place for place in places if place.cell != chosen.cell)
+    if len(answer.named) < len(answer.causes) or answer.unexplained.significant:
+        # What was found besides has no name, and may be the scatter.
+        return (replace(chosen, share=0.0, could_carry=1.0, significant=True), *others)
+    first = replace(chosen, share=1.0, significant=True)
+    return (first, *(replace(place, share=0.0, could_carry=0.0) for place in others))
 
 
 def _place_of(effect: str) -> Place:

@@ -93,6 +93,8 @@ class Place:
     significant: bool
     runs_needed: int | None = None
     """Where `p_value` is None: how many runs would test it."""
+    could_carry: float = 0.0
+    """Of the structural part, 0..1, what may lie here as well as in the cell that has its share."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -131,6 +131,7 @@ def _place(place: Place) -> dict[str, Any]:
     return {
         "cell": asdict(place.cell),
         "share": _number(place.share),
+        "could_carry": _number(place.could_carry),
         "p_value": _number(place.p_value),
         "significant": place.significant,
         "runs_needed": place.runs_needed,

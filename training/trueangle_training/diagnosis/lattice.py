@@ -152,16 +152,6 @@ def _in_time(problem: Problem, order: Callable[[int], Floats], mixed: int) -> It
             yield LatticeBlock(cell=cell, columns=change[:, None] * order(k))
 
 
-def own_of_runs(problem: Problem, order: int) -> LatticeBlock:
-    """An order with its own amplitude in each run: no mean to flip, tested by its energy."""
-    at = problem.conditions
-    theta = order * np.radians(at.angle_deg)
-    runs, index = np.unique(at.run, return_inverse=True)
-    own = (index[:, None] == np.arange(runs.size)).astype(np.float64)
-    columns = np.column_stack([own * np.cos(theta)[:, None], own * np.sin(theta)[:, None]])
-    return LatticeBlock(cell=Cell(order=str(order), time="between_runs"), columns=columns)
-
-
 def _windows(problem: Problem) -> Iterator[LatticeBlock]:
     angle = wrap_deg(problem.conditions.angle_deg)
     places = np.unique(np.rint(angle / SAME_PLACE_DEG)) * SAME_PLACE_DEG

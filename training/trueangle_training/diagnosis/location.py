@@ -47,6 +47,8 @@ HIGHEST_LOOKED_UP = 11
 MOST_PICKS = 6
 LEAST_SHARE = 0.01
 NEARLY_AS_MUCH = 0.9
+LEAST_NEAREST = 0.5
+"""Of a part's energy."""
 
 
 class CellFit(Enum):
@@ -60,6 +62,15 @@ class CellFit(Enum):
     """Little: the lattice tells where the curve lies."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Elsewhere:
+    """Another cell in which a shape may lie as well."""
+
+    cell: Cell
+    carried: float
+    """Share of the shape, 0 to 1, that the cell's own shape could carry."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FoundPart:
     """A shape that the attribution found."""
@@ -68,6 +79,8 @@ class FoundPart:
     fit: CellFit
     curve_arcsec: Floats
     """[readings]"""
+    elsewhere: Elsewhere | None = None
+    """None: no other cell comes near."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -84,7 +97,7 @@ def where(
     rng: np.random.Generator,
     found: Sequence[FoundPart] = (),
 ) -> tuple[Place, ...]:
-    """All cells that can be looked at under this plan, largest share first.
+    """All cells that can be looked at under this plan, the largest share, or what could be in its place, first.
 
     `problem.error_arcsec` should be cleaned of outliers; `floor_arcsec2`: variance of one reading.
     """
@@ -119,10 +132,44 @@ def where(
         else {}
     )
     places = [
-        *_places(tested, p_values, shares),
+        *_places(tested, p_values, shares, could_carry(found, tested_blocks(tested), span)),
         *scatter_places(problem, residual, unit, found_any=bool(found), rng=rng),
     ]
-    return tuple(sorted(places, key=lambda place: (-place.share, place.p_value is None, place.p_value or 0.0)))
+    return tuple(sorted(places, key=_rank))
+
+
+def _rank(place: Place) -> tuple[float, float, bool, float]:
+    return (-max(place.share, place.could_carry), -place.share, place.p_value is None, place.p_value or 0.0)
+
+
+def could_carry(
+    found: Sequence[FoundPart], blocks: Sequence[tuple[Cell, Block]], span: Projector
+) -> dict[Cell, float]:
+    """Share of all that was found which a cell could carry instead of the cell that it was laid to.
+
+    Of a part with no likely other cell, the cell of the lattice that comes nearest, if it carries half of it.
+    """
+    seen = [span.outside(part.curve_arcsec) for part in found]
+    energy = np.array([float(curve @ curve) for curve in seen])
+    whole = max(float(energy.sum()), 1e-300)
+    shares: dict[Cell, float] = {}
+    for part, curve, own in zip(found, seen, energy, strict=True):
+        other = part.elsewhere or _nearest(part.cell, curve, blocks)
+        if other is not None and own > 0.0:
+            shares[other.cell] = min(1.0, shares.get(other.cell, 0.0) + other.carried * float(own) / whole)
+    return shares
+
+
+def _nearest(own: Cell, curve: Floats, blocks: Sequence[tuple[Cell, Block]]) -> Elsewhere | None:
+    energy = max(float(curve @ curve), 1e-300)
+    best: Elsewhere | None = None
+    for cell, block in blocks:
+        if cell == own:
+            continue
+        carried = float(np.sum((block.columns.T @ curve) ** 2)) / energy
+        if carried > max(LEAST_NEAREST, best.carried if best else 0.0):
+            best = Elsewhere(cell=cell, carried=min(1.0, carried))
+    return best
 
 
 def tested_blocks(tested: Sequence[_Tested]) -> list[tuple[Cell, Block]]:
@@ -130,8 +177,13 @@ def tested_blocks(tested: Sequence[_Tested]) -> list[tuple[Cell, Block]]:
     return [(each.lattice.cell, each.block) for each in tested]
 
 
-def _places(tested: Sequence[_Tested], p_values: list[float | None], shares: dict[Cell, float]) -> list[Place]:
-    """One place a cell: its smallest p, its share."""
+def _places(
+    tested: Sequence[_Tested],
+    p_values: list[float | None],
+    shares: dict[Cell, float],
+    instead: dict[Cell, float],
+) -> list[Place]:
+    """One place a cell: its smallest p, its share, what it could carry instead of others."""
     best: dict[Cell, float | None] = {}
     needed: dict[Cell, int] = {}
     for each, p_value in zip(tested, p_values, strict=True):
@@ -142,12 +194,13 @@ def _places(tested: Sequence[_Tested], p_values: list[float | None], shares: dic
         else:
             before = best.get(cell)
             best[cell] = p_value if before is None else min(before, p_value)
-    for cell in shares:
+    for cell in (*shares, *instead):
         best.setdefault(cell, None)
     return [
         Place(
             cell=cell,
             share=shares.get(cell, 0.0),
+            could_carry=instead.get(cell, 0.0),
             p_value=p_value,
             significant=p_value is not None and p_value <= LEVEL,
             runs_needed=needed.get(cell) if p_value is None else None,

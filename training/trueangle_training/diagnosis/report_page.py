@@ -77,6 +77,7 @@ def pictures(inputs: PageInputs) -> tuple[Picture, ...]:
         significant = "; ".join(
             f"{wording.cell_words(each.cell)}: {wording.percent(each.share)}" for each in places
         )
+        other = wording.elsewhere_words(findings)
         drawn.append(
             Picture(
                 name="where",
@@ -84,7 +85,8 @@ def pictures(inputs: PageInputs) -> tuple[Picture, ...]:
                 title="Where the structure lies",
                 caption="Share of the structural part in percent, by order (times a turn) and by what it follows. "
                 "Framed: significant (family-wise 5 %, by whole runs) and not explained by another cell. "
-                "Hatched: too few runs to test.",
+                "Hatched: too few runs to test."
+                + (f" What has the largest share may lie there, {other}." if other else ""),
                 words=f"Significant cells: {significant or 'none'}.",
             )
         )

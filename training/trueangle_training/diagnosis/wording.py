@@ -29,6 +29,8 @@ BY_EVIDENCE_ONLY = " (by the evidence; the signs of whole runs alone do not show
 TIMES = " \N{MULTIPLICATION SIGN} "
 SMALLEST_PLACE = 0.01
 """Share below which a significant place is left to the map."""
+AS_MUCH = 0.9
+"""Of the largest share: another cell that could carry so much is told."""
 
 
 def effect_words(name: str) -> str:
@@ -248,7 +250,7 @@ def _place_rows(findings: Findings) -> list[tuple[str, str]]:
     large = [
         place for place in findings.where if place.share >= (SMALLEST_PLACE if place.significant else LARGE_PLACE)
     ]
-    return [
+    rows = [
         (
             "where",
             f"{percent(place.share)} of the structure: {cell_words(place.cell)}"
@@ -256,6 +258,19 @@ def _place_rows(findings: Findings) -> list[tuple[str, str]]:
         )
         for place in large[:SHOWN_PLACES]
     ]
+    other = elsewhere_words(findings)
+    return [*rows, ("", other)] if other else rows
+
+
+def elsewhere_words(findings: Findings) -> str:
+    """Where what was found may lie as well, as a clause; "" where plan and noise leave no choice."""
+    largest = max((place.share for place in findings.where), default=0.0)
+    other = [
+        cell_words(place.cell)
+        for place in findings.where
+        if place.share < place.could_carry and place.could_carry >= AS_MUCH * largest > 0.0
+    ]
+    return f"or, which this plan does not rule out: {other[0]}" if other else ""
 
 
 def chance_words(places: Sequence[Place]) -> str:

@@ -132,7 +132,11 @@ def self_heating(setting: Setting, rng: np.random.Generator) -> Defect:
         contribute=lambda size: Contribution(
             head_arcsec=size * heat, centre_mm=setting.mm(size) * once * toward * heat
         ),
-        cells=(CellTruth(order="0", time="within_run"), CellTruth(order="0", speed="linear")),
+        cells=(
+            CellTruth(order="0", time="within_run"),
+            CellTruth(order="0", speed="linear"),
+            *(CellTruth(order=order, time="within_run", speed="linear") for order in ("0", "1")),
+        ),
         parameters={"time_constant_s": constant},
     )
 

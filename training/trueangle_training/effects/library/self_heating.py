@@ -114,7 +114,7 @@ def hypotheses(conditions: Conditions) -> Iterator[Hypothesis]:
             yield driven(
                 effect="self_heating",
                 label=f"order {order} follows the speed's heat within {time_constant_s:g} s",
-                cell=Cell(order=str(order), temperature="lagged", speed="linear"),
+                cell=Cell(order=str(order), time="within_run", speed="linear"),
                 conditions=conditions,
                 orders=[order],
                 unit="arcsec_per_deg_s",
@@ -152,7 +152,7 @@ EFFECT = LibraryEffect(
             name="time_constant_s", unit="s", low=100.0, high=10000.0, source="shop experience: bearing to housing"
         ),
     ),
-    cells=tuple(Cell(order=str(order), temperature="lagged", speed="linear") for order in (0, 1, 2)),
+    cells=tuple(Cell(order=str(order), time="within_run", speed="linear") for order in (0, 1, 2)),
     proof="Soak, turn fast for three time constants, stand still and read until the error has come back.",
     missing_input="motion history",
     settings=SelfHeatingSettings,
