@@ -97,6 +97,22 @@ def test_what_a_compensation_lacks_is_a_sentence(missing: str, words: str) -> No
     assert wording.missing_words(task) == words
 
 
+def test_what_cannot_be_compensated_beside_what_can_is_named_with_what_it_would_need() -> None:
+    task = EndTask(
+        method="linear",
+        compensable=True,
+        missing_input="direction",
+        not_compensable={"hysteresis": "direction"},
+        none_arcsec=9.0,
+        explained_arcsec=1.0,
+    )
+    findings = replace(NAMED, end_task=task)
+    assert "in part" in line(findings, "compensation")
+    assert "hysteresis stays in the angle, it would need the direction" in line(findings, "compensation")
+    assert "1 arcsec with the causes added that it can take off" in line(findings, "end task")
+    assert "hysteresis stays in the angle" in made_page(findings)
+
+
 def test_a_pattern_that_may_be_a_sum_is_not_named_alone() -> None:
     cause = replace(HYSTERESIS, effect="reference_artefact", members=("reference_artefact",), probability=0.89)
     findings = replace(NAMED, causes=(cause,), end_task=replace(NAMED.end_task, missing_input="reference"))

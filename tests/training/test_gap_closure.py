@@ -144,7 +144,7 @@ def test_the_end_task_closes_what_temperature_and_angle_can_express() -> None:
         made,
         compensation=compensation,
         floor_arcsec2=shares.floor.variance_arcsec2,
-        found_in=lambda fold: explained,
+        found_in=lambda fold: {"thermal_tilt": explained},
     )
     assert notes == ()
     assert found.none_arcsec == pytest.approx(np.sqrt((20.0**2 + 3.0**2) / 2.0), rel=0.05)
@@ -165,9 +165,36 @@ def test_an_effect_that_needs_another_input_is_not_compensable() -> None:
     assert found.oracle_arcsec == pytest.approx(SIGMA_ARCSEC, rel=0.2)
 
 
+def test_of_two_effects_the_one_that_can_be_is_compensated_and_the_other_is_named() -> None:
+    made, attribution, shares = laid_out(7, bent_tilt)
+    tilt = attribution.explained(made)
+    # Of one sign in the campaign's one direction: a model that learned it would take it off.
+    other = 2.0 * np.cos(np.radians(made.conditions.angle_deg))
+    beside = replace(made, error_arcsec=made.error_arcsec + other)
+    compensation = compensation_of(made, ("thermal_tilt", "hysteresis"))
+    assert compensation.compensable
+    floor_arcsec2 = shares.floor.variance_arcsec2
+    found, _ = end_task(
+        beside,
+        compensation=compensation,
+        found_in=lambda fold: {"thermal_tilt": tilt, "hysteresis": other},
+        floor_arcsec2=floor_arcsec2,
+    )
+    assert found.missing_input == "direction"
+    assert dict(found.not_compensable) == {"hysteresis": "direction"}
+    assert found.explained_arcsec == pytest.approx(np.sqrt(2.0 + SIGMA_ARCSEC**2), rel=0.1)
+    alone, _ = end_task(
+        made,
+        compensation=compensation_of(made, ("thermal_tilt",)),
+        found_in=lambda fold: {"thermal_tilt": tilt},
+        floor_arcsec2=floor_arcsec2,
+    )
+    assert alone.not_compensable == {}
+
+
 def test_the_end_task_of_too_few_angles_is_left_out_with_the_reason() -> None:
     made = problem(campaign(9, temperatures_c=(20.0,), repeats=1), joint({"eccentricity": {}}))
-    found, notes = end_task(made, compensation=Compensation(effects=(), missing_input=None), floor_arcsec2=0.25)
+    found, notes = end_task(made, compensation=Compensation(effects=()), floor_arcsec2=0.25)
     assert found.oracle_arcsec is None
     assert notes
 

@@ -17,6 +17,7 @@ from trueangle.contract.joint import (
     plan_from_document,
     plan_to_plain,
 )
+from trueangle_training.effects import joint_settings
 from trueangle_training.files import read_whole
 
 _KEY = re.compile(r"""["']?\w+["']?[ \t]*:""")
@@ -25,8 +26,11 @@ _EFFECTS_KEY = re.compile(r"""["']?effects["']?[ \t]*:""")
 
 
 def load_joint(path: Path) -> Joint:
-    """The joint in a JOINT.yaml; ContractError with file and line of every fault."""
-    return joint_from_document(_read(path))
+    """The joint in a JOINT.yaml; ContractError with file and line of every fault, its effects included."""
+    joint = joint_from_document(_read(path))
+    # Whatever a command does with the joint: settings that contradict themselves or the reference mean another.
+    joint_settings(joint)
+    return joint
 
 
 def load_plan(path: Path) -> Plan:

@@ -65,8 +65,8 @@ class Closure:
     over_speeds: HeldOutClosure | None = None
     worse_orders: tuple[str, ...] = ()
     """Orders whose held-out energy grew significantly; "" when none did."""
-    found_in_fold: tuple[Floats, ...] = ()
-    """For each run fold: [readings], the found mean curve of an attribution that did not see the fold."""
+    found_in_fold: tuple[Mapping[str, Floats], ...] = ()
+    """For each run fold: effect to [readings], the mean curve that an attribution found without the fold."""
     notes: tuple[str, ...] = ()
 
 

@@ -6,8 +6,8 @@ the very angles and temperatures of the training runs, with the scatter of the f
 (b) and (c) share. A simulator whose parameters are all left to be calibrated is calibrated on the training runs.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +39,8 @@ MOST_ROWS_FOR_ALL_FOLDS = 2_000
 FOLDS_OF_MANY = 2
 """Of many readings two folds tell the error to a few per cent."""
 
-FoundIn = Callable[[int], Floats]
-"""[readings]: what was found, as a function of fold number, by an attribution that did not see that fold."""
+FoundIn = Callable[[int], Mapping[str, Floats]]
+"""Of a fold's number: effect to [readings], what an attribution found that did not see that fold."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,19 +48,27 @@ class Compensation:
     """Which effects were found, and what a compensation by angle and temperature lacks for them."""
 
     effects: tuple[str, ...]
-    missing_input: str | None
+    missing_inputs: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Each of the effects that cannot be compensated to what that would need."""
 
     @property
     def compensable(self) -> bool:
-        """Whether a function of angle and temperature can express what was found."""
-        return self.missing_input is None
+        """Whether a function of angle and temperature can express what was found, or one of several effects."""
+        return not self.missing_inputs or len(self.missing_inputs) < len(set(self.effects))
+
+    @property
+    def missing_input(self) -> str | None:
+        """All that is missing, in one line; None: nothing."""
+        return ", ".join(dict.fromkeys(self.missing_inputs.values())) or None
 
 
 def compensation_of(problem: Problem, effects: Sequence[str]) -> Compensation:
-    """From the library's entries; several missing inputs are listed."""
-    missing = [problem.library[name].missing_input for name in effects if name in problem.library]
-    listed = [each for each in dict.fromkeys(missing) if each is not None]
-    return Compensation(effects=tuple(effects), missing_input=", ".join(listed) or None)
+    """From the library's entries."""
+    missing = {name: problem.library[name].missing_input for name in effects if name in problem.library}
+    return Compensation(
+        effects=tuple(effects),
+        missing_inputs={name: each for name, each in missing.items() if each is not None},
+    )
 
 
 def end_task(
@@ -71,9 +79,18 @@ def end_task(
     found_in: FoundIn | None = None,
     folds: tuple[Fold, ...] | None = None,
 ) -> tuple[EndTask, tuple[str, ...]]:
-    """The four residuals and notes; `problem.error_arcsec` cleaned; `found_in` None: nothing was found."""
+    """The four residuals and notes; `problem.error_arcsec` cleaned; `found_in` None: nothing was found.
+
+    Of several effects the model with what was found learns those that a function of angle and temperature can
+    express: what else it learned of one direction or speed would be wrong in the other.
+    """
     folds = run_folds(problem) if folds is None else folds
-    empty = EndTask(method=METHOD, compensable=compensation.compensable, missing_input=compensation.missing_input)
+    empty = EndTask(
+        method=METHOD,
+        compensable=compensation.compensable,
+        missing_input=compensation.missing_input,
+        not_compensable=compensation.missing_inputs,
+    )
     if len(problem.conditions) > MOST_ROWS_FOR_ALL_FOLDS:
         folds = folds[:FOLDS_OF_MANY]
     if not folds:
@@ -86,9 +103,8 @@ def end_task(
     offset = np.unique(pairs, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
     noise = np.random.default_rng(SEED).normal(0.0, np.sqrt(floor_arcsec2), size)
     for number, fold in enumerate(folds):
-        curves = _training_curves(
-            problem, ~fold.left_out, found_in(number) if found_in is not None else None, noise
-        )
+        found = None if found_in is None else found_in(number)
+        curves = _training_curves(problem, ~fold.left_out, found, compensation, noise)
         if not compensation.compensable:
             curves.pop("explained", None)
         predicted = {"none": np.zeros(size)}
@@ -115,13 +131,18 @@ def end_task(
     ), ()
 
 
-def _training_curves(problem: Problem, inside: Mask, found: Floats | None, noise: Floats) -> dict[str, Floats]:
+def _training_curves(
+    problem: Problem, inside: Mask, found: Mapping[str, Floats] | None, compensation: Compensation, noise: Floats
+) -> dict[str, Floats]:
     """[readings] of what each model is trained on."""
     recalibrated = _recalibrated(problem, inside, 0.0)
     shipped = problem.nominal_arcsec if np.any(problem.nominal_arcsec) else recalibrated
     curves = {"simulator": shipped + noise, "oracle": problem.error_arcsec}
     if found is not None:
-        curves["explained"] = _recalibrated(problem, inside, found) + found + noise
+        nothing = np.zeros(len(problem))
+        learned = [curve for name, curve in found.items() if name not in compensation.missing_inputs]
+        whole = sum(found.values(), nothing)
+        curves["explained"] = _recalibrated(problem, inside, whole) + sum(learned, nothing) + noise
     return curves
 
 

@@ -137,9 +137,12 @@ class EndTask:
 
     method: str
     compensable: bool
-    """Whether a function of angle and temperature can express what was found."""
+    """Whether a function of angle and temperature can express what was found, or one of several effects."""
     missing_input: str | None = None
-    """What a compensation would need besides: direction, speed, load ..."""
+    """What a compensation of all that was found would need besides: direction, speed, load ..."""
+    not_compensable: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Each found effect that cannot be compensated to the input that is missing for it; beside `compensable` the
+    others can."""
     none_arcsec: float | None = None
     simulator_arcsec: float | None = None
     explained_arcsec: float | None = None

@@ -148,6 +148,9 @@ def _end_task(end_task: EndTask) -> dict[str, Any]:
         "method": end_task.method,
         "compensable": end_task.compensable,
         "missing_input": end_task.missing_input,
+        "not_compensable": [
+            {"effect": name, "missing_input": missing} for name, missing in end_task.not_compensable.items()
+        ],
         "none_arcsec": _number(end_task.none_arcsec),
         "simulator_arcsec": _number(end_task.simulator_arcsec),
         "explained_arcsec": _number(end_task.explained_arcsec),

@@ -1,6 +1,6 @@
 """Selections that did not see a fold, and what is left on it before and after what they found."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,7 +31,8 @@ class FoldRun:
     """[readings]: effects drawn in each run, half a run from its other half."""
     before: HeldOut
     after: HeldOut
-    found_in_fold: tuple[Floats, ...]
+    found_in_fold: tuple[Mapping[str, Floats], ...]
+    """For each fold: effect to [readings], its mean curve."""
 
 
 def fold_run(rivals: Competition, folds: tuple[Fold, ...], noise_arcsec2: float) -> FoldRun:
@@ -44,17 +45,19 @@ def fold_run(rivals: Competition, folds: tuple[Fold, ...], noise_arcsec2: float)
     )
     group = problem.conditions.zero_group
     columns = recalibration_columns(problem)
-    found_in_fold: list[Floats] = []
+    found_in_fold: list[Mapping[str, Floats]] = []
     for fold in folds:
         out = fold.left_out
         shapes = found_without(rivals, out)
-        found = sum(
-            (problem.curve(each.hypothesis_index, each.coefficients) for each in shapes if not each.drawn),
-            np.zeros(size),
-        )
+        by_effect: dict[str, Floats] = {}
+        for each in shapes:
+            if not each.drawn:
+                curve = problem.curve(each.hypothesis_index, each.coefficients)
+                by_effect[each.effect] = by_effect.get(each.effect, 0.0) + curve
+        found = sum(by_effect.values(), np.zeros(size))
         draws = _draws_in_fold(problem, shapes, found, columns, out, noise_arcsec2)
         mean_curve[out], drawn_curve[out] = found[out], draws[out]
-        found_in_fold.append(found)
+        found_in_fold.append(by_effect)
         for held, values in ((before, problem.error_arcsec), (after, problem.error_arcsec - found - draws)):
             held.residual_arcsec[out], held.freedom[out], held.inflation[out] = one_fold(
                 values, columns, group, out

@@ -45,6 +45,10 @@ TWO_DECADES = 4.6
 """Variance of 1 / f noise over two decades of frequency, over its power at the upper end times that frequency."""
 SLOW_S = 20_000.0
 """Hours over which air and stand drift together."""
+SAME_CONDITION = 0.05
+"""Relative difference up to which runs have one temperature, load or speed."""
+FEWEST_FREE_MEANS = 3
+"""Means of runs beyond the lines through them, from which their scatter is told."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -336,7 +340,7 @@ def _wandering_zero(
 
     The zero wanders by v between such runs, half of it at each run, half of it slowly (an exponential correlation
     over hours). v is the larger of what 1 / f noise seen within the runs gives over two more decades, and of what
-    the means themselves scatter by about a line in each condition.
+    the means themselves scatter by about a line in each condition, direction and signed speed among them.
     """
     group = np.array([conditions.zero_group[rows[0]] for rows in transform.rows])
     groups, size = np.unique(group, return_counts=True)
@@ -374,20 +378,42 @@ def _wandering_zero(
 
 
 def _scatter_of_means(means: Floats, inside: list[Integers], conditions: Conditions) -> float:
-    """Robust variance of the runs' means about their lines in temperature, load and speed; 0 with too few runs."""
-    columns = [np.ones(means.size)]
-    for values in (conditions.temperature_c, conditions.load_nm, conditions.velocity_deg_s):
-        if values is None:
-            continue
-        by_run = np.array([float(np.mean(np.abs(values[rows]))) for rows in inside])
-        if float(np.ptp(by_run)) > 0.05 * max(float(np.max(np.abs(by_run))), 1e-9):
-            columns.append(by_run - float(np.mean(by_run)))
-    design = np.column_stack(columns)
+    """Robust variance of the runs' means about what the conditions make of them; 0 with too few runs."""
+    design = _conditions_of_means(inside, conditions)
     freedom = means.size - design.shape[1]
-    if freedom < 3:
+    if freedom < FEWEST_FREE_MEANS:
         return 0.0
     left = means - design @ np.linalg.lstsq(design, means, rcond=None)[0]
     return float(np.median(left**2)) / 0.455 * means.size / freedom
+
+
+def _conditions_of_means(inside: list[Integers], conditions: Conditions) -> Floats:
+    """[runs, columns]: lines in temperature, load, speed, velocity and direction, where the runs differ in them.
+
+    A mean that follows a condition is an effect (latency, hysteresis), not a zero that wanders. Velocity and
+    direction come last: they are left out where they would leave too few runs to see any wander by.
+    """
+    velocity, direction = conditions.velocity_deg_s, conditions.direction
+    sizes = [
+        None if each is None else np.abs(each) for each in (conditions.temperature_c, conditions.load_nm, velocity)
+    ]
+    design = np.ones((len(inside), 1))
+    for place, values in enumerate([*sizes, velocity, direction]):
+        if values is None:
+            continue
+        by_run = np.array([float(np.mean(values[rows])) for rows in inside])
+        largest = max(float(np.max(np.abs(by_run))), 1e-9)
+        column = by_run - float(np.mean(by_run))
+        if float(np.ptp(by_run)) <= SAME_CONDITION * largest:
+            continue
+        if place >= len(sizes):
+            own = column - design @ np.linalg.lstsq(design, column, rcond=None)[0]
+            if np.linalg.norm(own) <= SAME_CONDITION * np.linalg.norm(column):
+                continue
+            if len(inside) - design.shape[1] <= FEWEST_FREE_MEANS:
+                break
+        design = np.column_stack([design, column])
+    return design
 
 
 def _colour(shape: Floats, transform: RunTransform) -> Floats:

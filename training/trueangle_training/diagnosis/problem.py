@@ -7,12 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueangle.contract.calibration import Campaign
-from trueangle.contract.document import structure
 from trueangle.contract.joint import Joint
 from trueangle.contract.units import ARCSEC_PER_DEG
 from trueangle_training.diagnosis.condensing import condense
 from trueangle_training.diagnosis.generic import generic_hypotheses
-from trueangle_training.effects import EFFECTS
+from trueangle_training.effects import EFFECTS, joint_settings
 from trueangle_training.effects.conditions import Conditions, Integers, conditions_of
 from trueangle_training.effects.effect import Hypothesis, LibraryEffect, Nature
 
@@ -166,8 +165,8 @@ def recalibration_span(conditions: Conditions, joint: Joint) -> tuple[Floats, tu
     """Columns of the modelled effects, the effect of each, and the drift of the datum; [readings, columns]."""
     columns: list[Floats] = []
     names: list[str] = []
-    for name, node in joint.effects.items():
-        span = structure(EFFECTS[name].settings, node).columns(conditions, joint)
+    for name, settings in joint_settings(joint).items():
+        span = settings.columns(conditions, joint)
         columns.append(span)
         names += [name] * span.shape[1]
     temperature = conditions.temperature_c
@@ -193,8 +192,8 @@ def _largest_span(values: Floats, group: Integers) -> float:
 def _nominal_arcsec(conditions: Conditions, joint: Joint) -> Floats:
     """The simulator as shipped, random parts at their mean."""
     total = np.zeros(len(conditions))
-    for name, node in joint.effects.items():
-        total += structure(EFFECTS[name].settings, node).error_arcsec(conditions, joint, None)
+    for settings in joint_settings(joint).values():
+        total += settings.error_arcsec(conditions, joint, None)
     return total
 
 

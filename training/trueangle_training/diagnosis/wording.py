@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from trueangle.contract.joint import EFFECT_NAMES
 from trueangle_training.diagnosis.findings import (
@@ -330,10 +331,15 @@ def _end_task_rows(findings: Findings) -> list[tuple[str, str]]:
                 f"not by a model of angle and temperature: {missing_words(task)}{doubt_words(findings)}",
             )
         )
+    elif task.not_compensable:
+        rows.append(("compensation", f"in part by a model of angle and temperature: {in_part_words(task)}"))
     figures = (
         (task.none_arcsec, "without"),
         (task.simulator_arcsec, "with a model of the simulator as shipped"),
-        (task.explained_arcsec, "with the causes added"),
+        (
+            task.explained_arcsec,
+            "with the causes added" + (" that it can take off" if task.not_compensable else ""),
+        ),
         (task.oracle_arcsec, "trained on the measurement"),
     )
     known = [f"{arcsec(value)} {words}" for value, words in figures if value is not None]
@@ -357,6 +363,14 @@ def missing_words(task: EndTask) -> str:
     if inputs:
         said.append(f"it would need {' and '.join(inputs)}")
     return "; ".join(said)
+
+
+def in_part_words(task: EndTask) -> str:
+    """Which causes stay in the angle, and why."""
+    return "; ".join(
+        f"{effect_words(name)} stays in the angle, {missing_words(replace(task, missing_input=missing))}"
+        for name, missing in task.not_compensable.items()
+    )
 
 
 def doubt_words(findings: Findings) -> str:

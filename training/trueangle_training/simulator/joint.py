@@ -7,7 +7,7 @@ preset is set. E there is not zero in general, so an encoder that stands at the 
 that counts from the datum leaves this angle in its readings.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +19,6 @@ from trueangle.contract.units import ARCSEC_PER_DEG, DEG_PER_TURN
 from trueangle_training.effects import Effect, Stage, nominal_effects
 from trueangle_training.effects.conditions import Conditions
 from trueangle_training.effects.harmonics import HarmonicSeries, harmonic_series
-from trueangle_training.effects.library.reference_artefact import ReferenceArtefactSettings
 from trueangle_training.effects.library.temperature_sensor_error import TemperatureSensorErrorSettings
 
 Floats = NDArray[np.float64]
@@ -114,28 +113,6 @@ class SimulatedJoint:
 def simulated_joint(joint: Joint) -> SimulatedJoint:
     """The joint ready to be read; ContractError where an effect lacks its parameters."""
     effects = nominal_effects(joint)
-    _check_faces(joint, effects)
     terms = [term for effect in effects for term in effect.terms]
     series = harmonic_series(terms, base_temperature_c=joint.base_temperature_c)
     return SimulatedJoint(joint=joint, effects=effects, series=series)
-
-
-def _check_faces(joint: Joint, effects: Sequence[Effect]) -> None:
-    """ContractError unless the reference's own error has one deviation for each face of the polygon."""
-    faces = joint.reference.faces
-    for effect in effects:
-        settings = effect.settings
-        if not isinstance(settings, ReferenceArtefactSettings) or settings.faces_arcsec is None or faces is None:
-            continue
-        listed = len(settings.faces_arcsec)
-        if listed != faces:
-            raise ContractError(
-                [
-                    Fault(
-                        where=f"{joint.effects[effect.name].where}.faces_arcsec",
-                        expected=f"{faces} deviations, one for each face of the reference",
-                        found="1 deviation" if listed == 1 else f"{listed} deviations",
-                        advice="list 0 for a face that was not measured",
-                    )
-                ]
-            )

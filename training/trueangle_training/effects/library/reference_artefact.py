@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trueangle.contract.errors import ContractError, Fault
 from trueangle.contract.joint import Joint
 from trueangle.contract.units import DEG_PER_TURN
 from trueangle_training.effects.cells import Cell
@@ -28,8 +29,19 @@ class ReferenceArtefactSettings:
     """What faces 1, 2, ... add to the error, indicated minus reference; None: calibrated from data."""
 
     def terms(self, joint: Joint) -> tuple[HarmonicTerm, ...] | None:
-        """No part of it is the joint's."""
-        return None if self.faces_arcsec is None else ()
+        """No part of it is the joint's; ContractError unless each face of the polygon has its deviation."""
+        if self.faces_arcsec is None:
+            return None
+        listed, faces = len(self.faces_arcsec), joint.reference.faces
+        if faces is not None and listed != faces:
+            fault = Fault(
+                where="faces_arcsec",
+                expected=f"{faces} deviations, one for each face of the reference",
+                found="1 deviation" if listed == 1 else f"{listed} deviations",
+                advice="list 0 for a face that was not measured",
+            )
+            raise ContractError([fault])
+        return ()
 
     def error_arcsec(self, conditions: Conditions, joint: Joint, rng: np.random.Generator | None) -> Floats:
         """As in `EffectSettings`; 0 without faces and on faces that are not listed."""
