@@ -157,7 +157,9 @@ def test_of_a_confounded_pair_a_class_is_right_and_one_confident_name_is_not() -
     assert not one_name["confounded_ok"]
     assert one_name["confounded_met"]
     assert not one_name["confident_wrong"]
-    both = marked(answer("named", cause("localized_defect"), cause("graduation_error")), *two, stratum="confounded")
+    both = marked(
+        answer("named", cause("localized_defect"), cause("graduation_error")), *two, stratum="confounded"
+    )
     assert both["confounded_ok"]
     elsewhere = marked(answer("named", cause("thermal_lag")), *two, stratum="confounded")
     assert not elsewhere["confounded_met"]
