@@ -8,9 +8,9 @@ which no amount of data tells: their share is the ceiling.
 
 Fitted by tests/benchmarks/fit_confidence.py, --cases 1000 --seed 8 --rich-share 0 and --cases 1000 --seed 9
 --rich-share 0.08 together: 884 names, 831 of them right. Cases of the project's plant, single effects, pairs,
-unknown patterns and noise, effect-to-noise ratio 0.2 to 5; library errors injected: the true effect withheld in 5 %
-of the cases, all shapes bent by 15 % in 30 %. Calibration error by five-fold cross-validation 0.012; of 812 names at
-0.9 or more 782 were right.
+unknown patterns and noise, effect-to-noise ratio 0.2 to 5; library errors injected: the true effect withheld in
+5 % of the cases, all shapes bent by 15 % in 30 %. Calibration error by five-fold cross-validation 0.012; of 812
+names at 0.9 or more 782 were right.
 """
 
 from dataclasses import dataclass
