@@ -243,3 +243,26 @@ def test_a_constant_order_on_a_polygon_may_be_another_pattern_over_the_faces() -
     elsewhere = part.elsewhere.cell
     assert (elsewhere.temperature, elsewhere.time) == ("constant", "constant")
     assert elsewhere.frame == "polygon" or elsewhere.order in ("N", "2N", "4N", "non-integer", "localized")
+
+
+def test_with_one_direction_and_one_load_a_constant_order_is_the_gratings_first() -> None:
+    """What follows direction or load as well would be seen by its bend over the angle only."""
+    made = gap_campaigns.campaign(53, lambda theta, t, run: 1.5 * np.cos(2 * theta))
+    listed = gap_campaigns.joint({"eccentricity": {}, "thermal_eccentricity": {}})
+    cause = _verdict(gap_campaigns.problem(made, listed, shapes=True)).causes[0]
+    assert cause.effect == "grating_tilt"
+    assert {"hysteresis", "load_deflection"} <= set(cause.effect_class)
+    assert cause.probability > 1.5 / len(cause.effect_class)
+
+
+def test_a_pattern_over_all_faces_may_be_a_sum_and_draws_of_the_runs_are_none() -> None:
+    faces = np.random.default_rng(54).normal(0.0, 1.5, gap_campaigns.FACES)
+    place = 2 * np.pi / gap_campaigns.FACES
+    wide = _verdict(_problem(54, lambda theta, t, run: faces[np.rint(theta / place).astype(int)])).causes[0]
+    assert wide.effect in ("reference_artefact", "graduation_error")
+    assert wide.class_probability >= 0.9
+    assert wide.probability <= 0.5
+    phase = np.random.default_rng(55).uniform(0.0, 2 * np.pi, 64)
+    drawn = _verdict(_problem(55, lambda theta, t, run: 1.5 * np.cos(theta - phase[run]))).causes[0]
+    assert drawn.effect == "run_to_run_eccentricity"
+    assert drawn.probability >= 0.9

@@ -17,8 +17,10 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-LEAST_EVIDENCE = 5.5
-"""Log evidence of a family, its penalty taken off, from which it is accepted."""
+LEAST_EVIDENCE = 4.5
+"""Log evidence of a family, its penalty taken off, from which it is accepted as the first."""
+LEAST_EVIDENCE_FURTHER = 5.5
+"""The same beside others, whose shapes are a little off."""
 LEAST_TO_STAY = 4.5
 LEAST_SIZE = 0.08
 """Visible RMS over the noise of one reading: among thousands of readings evidence alone would find the hundredths
@@ -115,7 +117,7 @@ def select(evidence: Evidence, families: Families, allowed: Mask) -> Selection:
         return Selection(accepted=(), log_evidence=(), share=())
     while len(accepted) < MOST_MEMBERS:
         found = _best(evidence, families, allowed, accepted)
-        if found is None or found[1] < LEAST_EVIDENCE:
+        if found is None or found[1] < (LEAST_EVIDENCE_FURTHER if accepted else LEAST_EVIDENCE):
             break
         if not _large_enough(evidence, accepted, found[0]):
             allowed = allowed & (families.of_block != families.of_block[found[0].block])

@@ -24,6 +24,9 @@ from trueangle_training.effects.patterns import (
 Floats = NDArray[np.float64]
 DEFAULT_ORDERS = (0, 2)
 _OTHER_ORDERS_SIZE = 0.3
+_ONE_WAY_DOUBT_NATS = 4.6
+"""Approached from one side only, no more is seen of it than how it bends with the angle, as a constant pattern; of
+such patterns a hundredth."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,6 +89,7 @@ def hypotheses(conditions: Conditions) -> Iterator[Hypothesis]:
             driver=direction,
             wiggle=order_columns(conditions.angle_deg, others, direction),
             wiggle_size=_OTHER_ORDERS_SIZE,
+            doubt_nats=_ONE_WAY_DOUBT_NATS if float(np.ptp(direction)) == 0.0 else 0.0,
         )
 
 

@@ -24,6 +24,8 @@ from trueangle_training.effects.patterns import (
 Floats = NDArray[np.float64]
 DEFAULT_ORDERS = (0, 2)
 _OTHER_ORDERS_SIZE = 0.4
+_ONE_LOAD_DOUBT_NATS = 4.6
+"""Under one load no more is seen of it than a constant pattern over the angle; of such patterns a hundredth."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,6 +88,7 @@ def hypotheses(conditions: Conditions) -> Iterator[Hypothesis]:
             driver=load_nm,
             wiggle=order_columns(conditions.angle_deg, others, load_nm),
             wiggle_size=_OTHER_ORDERS_SIZE,
+            doubt_nats=_ONE_LOAD_DOUBT_NATS if float(np.ptp(load_nm)) == 0.0 else 0.0,
         )
 
 
