@@ -32,9 +32,10 @@ from trueangle_training.diagnosis.verdict import verdict_of
 from trueangle_training.effects import EFFECTS
 from trueangle_training.effects.effect import Hypothesis
 from trueangle_training.plant.cases import draw_case
-from trueangle_training.plant.fitting import CaseNotFoundError, Wish
-from trueangle_training.plant.library_defects import LIBRARY_DEFECTS
-from trueangle_training.plant.unknown_defects import ON_RICH_PLAN
+from trueangle_training.plant.fitting import CaseNotFoundError
+from trueangle_training.plant.reading_head.library_defects import LIBRARY_DEFECTS
+from trueangle_training.plant.reading_head.unknown_defects import ON_RICH_PLAN
+from trueangle_training.plant.wish import Wish
 
 Floats = NDArray[np.float64]
 

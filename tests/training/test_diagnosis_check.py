@@ -18,8 +18,8 @@ from tests.benchmarks.diagnosis_check.marks import band, marks_of
 from tests.benchmarks.diagnosis_check.summary import document, markdown
 
 from trueangle_training.plant.cases import draw_case
-from trueangle_training.plant.contribution import CellTruth
-from trueangle_training.plant.fitting import Wish
+from trueangle_training.plant.defect import CellTruth
+from trueangle_training.plant.wish import Wish
 from trueangle_training.plant.truth import EffectTruth, Truth
 
 Json = dict[str, Any]
@@ -45,6 +45,7 @@ def truth(*effects: EffectTruth, stratum: str = "single", fault: str | None = No
     return Truth(
         case_id="a",
         seed=1,
+        plant="A",
         plan="paper",
         stratum=stratum,
         asked_enr=1.0,

@@ -24,7 +24,7 @@ from trueangle_training.documents import load_joint
 from trueangle_training.effects import EFFECTS
 from trueangle_training.effects.effect import LibraryEffect
 from trueangle_training.plant.cases import Case
-from trueangle_training.plant.contribution import CellTruth
+from trueangle_training.plant.defect import CellTruth
 
 Floats = NDArray[np.float64]
 Json = dict[str, Any]

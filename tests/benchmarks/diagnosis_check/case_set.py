@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from trueangle_training.plant.data_faults import DATA_FAULTS
-from trueangle_training.plant.fitting import Wish
-from trueangle_training.plant.library_defects import LIBRARY_DEFECTS
+from trueangle_training.plant.reading_head.library_defects import LIBRARY_DEFECTS
+from trueangle_training.plant.reading_head.unknown_defects import ON_ANY_PLAN, ON_RICH_PLAN
 from trueangle_training.plant.schedule import PlanName
-from trueangle_training.plant.unknown_defects import ON_ANY_PLAN, ON_RICH_PLAN
+from trueangle_training.plant.wish import Wish
 
 ENRS = (0.2, 0.5, 1.0, 2.0, 5.0)
 PAIR_RATIOS = (0.7, 0.3)

@@ -7,8 +7,8 @@ import numpy as np
 from tests.benchmarks.diagnosis_check.answers import Answer
 from tests.benchmarks.diagnosis_check.case_set import ENRS
 
-from trueangle_training.plant.fitting import Wish
 from trueangle_training.plant.truth import EffectTruth, Truth
+from trueangle_training.plant.wish import Wish
 
 Json = dict[str, Any]
 

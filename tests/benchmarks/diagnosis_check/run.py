@@ -15,7 +15,8 @@ from tests.benchmarks.diagnosis_check.answers import WAYS
 from tests.benchmarks.diagnosis_check.marks import marks_of
 
 from trueangle_training.plant.cases import draw_case
-from trueangle_training.plant.fitting import CaseNotFoundError, Wish
+from trueangle_training.plant.fitting import CaseNotFoundError
+from trueangle_training.plant.wish import Wish
 
 Json = dict[str, Any]
 

@@ -4,30 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trueangle_training.plant.contribution import Contribution, Setting, together
-from trueangle_training.plant.geometry import ARCSEC_PER_RAD, SignalError
-from trueangle_training.plant.grating_defects import phase, ruled_wave
-from trueangle_training.plant.heat import Climate
+from trueangle_training.plant.listing import Encoder, Listing
+from trueangle_training.plant.reading_head.contribution import Contribution, Setting, together
+from trueangle_training.plant.reading_head.geometry import ARCSEC_PER_RAD, SignalError
+from trueangle_training.plant.reading_head.grating_defects import phase, ruled_wave
+from trueangle_training.plant.reading_head.heat import Climate
+from trueangle_training.plant.reading_head.thermal_defects import warming
 from trueangle_training.plant.schedule import Floats, Schedule
-from trueangle_training.plant.simulator_reach import Listing
-from trueangle_training.plant.thermal_defects import warming
-
-GRATINGS = ((5000, 1024), (9000, 400), (11840, 512), (16384, 200), (18000, 256))
-"""Lines a turn and interpolation."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Encoder:
-    """What stands on its label."""
-
-    lines_per_rev: int
-    counts_per_rev: int
-
-
-def draw_encoder(rng: np.random.Generator) -> Encoder:
-    """One of some usual gratings."""
-    lines, interpolation = GRATINGS[int(rng.integers(len(GRATINGS)))]
-    return Encoder(lines_per_rev=lines, counts_per_rev=lines * interpolation)
 
 
 def draw_setting(schedule: Schedule, climate: Climate, encoder: Encoder, rng: np.random.Generator) -> Setting:
@@ -39,32 +22,6 @@ def draw_setting(schedule: Schedule, climate: Climate, encoder: Encoder, rng: np
         lines_per_rev=encoder.lines_per_rev,
         count_arcsec=360.0 * 3600.0 / encoder.counts_per_rev,
     )
-
-
-def draw_listing(rng: np.random.Generator) -> Listing:
-    """Which effects the simulator models: drawn alike for all kinds of cases."""
-    constant = [1] * (rng.random() < 0.85) + [2] * (rng.random() < 0.75)
-    graduation = rng.random()
-    if graduation < 0.45:
-        constant += range(3, int(rng.integers(4, 9)))
-    elif graduation < 0.65:
-        constant += range(3, 12)
-    thermal = [1] * (rng.random() < 0.75) + [2] * (rng.random() < 0.25)
-    return Listing(constant=tuple(constant), thermal=tuple(thermal))
-
-
-def without(listing: Listing, name: str) -> Listing:
-    """The listing when this effect is the one that the simulator lacks."""
-    constant, thermal = listing.constant, listing.thermal
-    gone = {"eccentricity": 1, "grating_tilt": 2}.get(name)
-    if name == "graduation_error" and len(constant) > 8:
-        constant = tuple(k for k in constant if k <= 5)
-    if name == "temperature_sensor_error":
-        # With both listed, a sensor that is wrong by bias and gain only changes their parameters.
-        thermal = thermal or (1,)
-        constant = tuple(sorted({*constant, *thermal}))
-    hot = {"thermal_eccentricity": 1, "thermal_tilt": 2}.get(name)
-    return Listing(constant=tuple(k for k in constant if k != gone), thermal=tuple(k for k in thermal if k != hot))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -4,8 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from trueangle_training.plant import grating_defects, mechanical_defects, thermal_defects
-from trueangle_training.plant.contribution import Defect, Setting
+from trueangle_training.plant.defect import Defect
+from trueangle_training.plant.reading_head import grating_defects, mechanical_defects, thermal_defects
+from trueangle_training.plant.reading_head.contribution import Setting
 
 Maker = Callable[[Setting, np.random.Generator], Defect]
 

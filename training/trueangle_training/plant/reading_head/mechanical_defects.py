@@ -3,10 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from trueangle_training.plant.contribution import CellTruth, Contribution, Defect, Setting
-from trueangle_training.plant.friction import cage_angle_deg, friction_at_readings
-from trueangle_training.plant.grating_defects import phase
-from trueangle_training.plant.heat import follow
+from trueangle_training.plant.defect import CellTruth, Defect
+from trueangle_training.plant.history import follow, friction_at_readings
+from trueangle_training.plant.reading_head.contribution import Contribution, Setting
+from trueangle_training.plant.reading_head.grating_defects import phase
+from trueangle_training.plant.reading_head.rolling import cage_angle_deg
 from trueangle_training.plant.schedule import FACES
 
 Floats = NDArray[np.float64]

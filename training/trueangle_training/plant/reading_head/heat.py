@@ -5,27 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from trueangle_training.plant.history import follow
 from trueangle_training.plant.schedule import Schedule
 
 Floats = NDArray[np.float64]
 
 STEP_S = 10.0
-
-
-def follow(driver: Floats, *, time_constant_s: float, start: float, step_s: float = STEP_S) -> Floats:
-    """A body with one time constant behind its driver, both at equal steps; the driver is linear in between.
-
-    y' = (x - y) / tau, solved exactly for a linear x over each step.
-    """
-    decay = float(np.exp(-step_s / time_constant_s))
-    mean = (1.0 - decay) * time_constant_s / step_s
-    out = np.empty_like(driver)
-    state, before = start, float(driver[0])
-    for i, value in enumerate(driver.tolist()):
-        state = decay * state + (mean - decay) * before + (1.0 - mean) * value
-        before = value
-        out[i] = state
-    return out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -51,7 +36,7 @@ class Climate:
     def lagged_c(self, time_constant_s: float) -> Floats:
         """Of a part that lags behind the body, at the readings."""
         start = float(self.body_c[0])
-        return self.at_readings(follow(self.body_c, time_constant_s=time_constant_s, start=start))
+        return self.at_readings(follow(self.body_c, time_constant_s=time_constant_s, start=start, step_s=STEP_S))
 
     def motion_heat(self, time_constant_s: float, *, loss: float = 0.0) -> Floats:
         """Warming by friction at the readings: degrees of travel kept, with the time constant of cooling.
@@ -75,13 +60,13 @@ def draw_climate(schedule: Schedule, rng: np.random.Generator) -> Climate:
     end_s = max(float(schedule.time_s[-1]), float(schedule.path_time_s[-1])) + 2 * STEP_S
     grid = np.arange(0.0, end_s, STEP_S)
     setting = np.interp(grid, schedule.chamber_time_s, schedule.chamber_c)
-    air = follow(setting, time_constant_s=float(rng.uniform(300.0, 900.0)), start=20.0)
+    air = follow(setting, time_constant_s=float(rng.uniform(300.0, 900.0)), start=20.0, step_s=STEP_S)
     period_s = float(rng.uniform(600.0, 2400.0))
     phase = float(rng.uniform(0, 2 * np.pi))
     air = air + float(rng.uniform(0.03, 0.15)) * np.sin(2 * np.pi * grid / period_s + phase)
-    wander = follow(rng.normal(size=grid.size), time_constant_s=1800.0, start=0.0)
+    wander = follow(rng.normal(size=grid.size), time_constant_s=1800.0, start=0.0, step_s=STEP_S)
     air = air + float(rng.uniform(0.03, 0.15)) * wander / max(float(wander.std()), 1e-9)
-    body = follow(air, time_constant_s=float(rng.uniform(600.0, 1500.0)), start=20.0)
+    body = follow(air, time_constant_s=float(rng.uniform(600.0, 1500.0)), start=20.0, step_s=STEP_S)
     path_travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(schedule.path_angle_deg)))])
     return Climate(
         grid_s=grid,

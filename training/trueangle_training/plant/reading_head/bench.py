@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trueangle_training.plant.contribution import Contribution, Setting
-from trueangle_training.plant.geometry import grating_error_arcsec, interpolation_error_arcsec
-from trueangle_training.plant.heat import Sensor
+from trueangle_training.plant.reading_head.contribution import Contribution, Setting
+from trueangle_training.plant.reading_head.geometry import grating_error_arcsec, interpolation_error_arcsec
+from trueangle_training.plant.reading_head.heat import Sensor
+from trueangle_training.plant.world import Measured, zeroed
 
 Floats = NDArray[np.float64]
 
@@ -56,15 +57,6 @@ def error_arcsec(indication: Indication) -> Floats:
     return (indication.indicated_deg - indication.reference_deg) * 3600.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Measured:
-    """Columns of a campaign, shape [n]."""
-
-    angle_deg: Floats
-    error_arcsec: Floats
-    temperature_c: Floats
-
-
 def measure(
     setting: Setting,
     part: Contribution,
@@ -92,12 +84,3 @@ def measure(
         error_arcsec=zeroed(error, schedule.zero_group),
         temperature_c=sensor.readings_c(setting.climate),
     )
-
-
-def zeroed(error: Floats, zero_group: NDArray[np.int64]) -> Floats:
-    """Each group counted from its first row."""
-    out = error.copy()
-    for group in np.unique(zero_group):
-        rows = np.flatnonzero(zero_group == group)
-        out[rows] -= error[rows[0]]
-    return out

@@ -5,9 +5,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from trueangle_training.plant.contribution import CellTruth, Contribution, Defect, Setting
-from trueangle_training.plant.friction import friction_at_readings
-from trueangle_training.plant.grating_defects import phase
+from trueangle_training.plant.defect import CellTruth, Defect
+from trueangle_training.plant.history import friction_at_readings
+from trueangle_training.plant.reading_head.contribution import Contribution, Setting
+from trueangle_training.plant.reading_head.grating_defects import phase
 
 Floats = NDArray[np.float64]
 Family = Callable[[Setting, np.random.Generator], Defect]

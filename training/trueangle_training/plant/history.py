@@ -1,4 +1,7 @@
-"""Friction and rolling, stepped along the shaft's path."""
+"""Plain courses of what the joint remembers, for the judge: a first-order lag and a friction of Dahl's.
+
+Plants that are to be independent step their own heat and friction.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,6 +9,22 @@ from numpy.typing import NDArray
 from trueangle_training.plant.schedule import Schedule
 
 Floats = NDArray[np.float64]
+
+
+def follow(driver: Floats, *, time_constant_s: float, start: float, step_s: float) -> Floats:
+    """A body with one time constant behind its driver, both at equal steps; the driver is linear in between.
+
+    y' = (x - y) / tau, solved exactly for a linear x over each step.
+    """
+    decay = float(np.exp(-step_s / time_constant_s))
+    mean = (1.0 - decay) * time_constant_s / step_s
+    out = np.empty_like(driver)
+    state, before = start, float(driver[0])
+    for i, value in enumerate(driver.tolist()):
+        state = decay * state + (mean - decay) * before + (1.0 - mean) * value
+        before = value
+        out[i] = state
+    return out
 
 
 def dahl_state(path_deg: Floats, *, length_deg: float, exponent: float = 1.0, start: float = 0.0) -> Floats:
@@ -35,13 +54,3 @@ def dahl_state(path_deg: Floats, *, length_deg: float, exponent: float = 1.0, st
 def friction_at_readings(schedule: Schedule, *, length_deg: float, exponent: float = 1.0) -> Floats:
     """The state of a friction at each reading, shape [n], with all motion since the campaign began."""
     return dahl_state(schedule.path_angle_deg, length_deg=length_deg, exponent=exponent)[schedule.reading_at]
-
-
-def cage_angle_deg(schedule: Schedule, *, ratio: float, slip_per_turn: float) -> Floats:
-    """Angle of a bearing's cage (or of a rolling set) at each reading, shape [n].
-
-    It rolls at `ratio` turns per turn of the shaft, forth and back, and slips a little with all travel.
-    """
-    rolled = ratio * schedule.path_angle_deg
-    travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(schedule.path_angle_deg)))])
-    return (rolled + slip_per_turn * travel)[schedule.reading_at]

@@ -3,8 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from trueangle_training.plant.contribution import CellTruth, Contribution, Defect, LineShift, Setting
-from trueangle_training.plant.geometry import ARCSEC_PER_RAD, SignalError
+from trueangle_training.plant.defect import CellTruth, Defect
+from trueangle_training.plant.reading_head.contribution import Contribution, LineShift, Setting
+from trueangle_training.plant.reading_head.geometry import ARCSEC_PER_RAD, SignalError
 from trueangle_training.plant.schedule import FACES
 
 Floats = NDArray[np.float64]

@@ -3,9 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from trueangle_training.plant.contribution import CellTruth, Contribution, Defect, LineShift, Setting
-from trueangle_training.plant.geometry import ARCSEC_PER_RAD
-from trueangle_training.plant.grating_defects import phase, ruled_wave
+from trueangle_training.plant.defect import CellTruth, Defect
+from trueangle_training.plant.reading_head.contribution import Contribution, LineShift, Setting
+from trueangle_training.plant.reading_head.geometry import ARCSEC_PER_RAD
+from trueangle_training.plant.reading_head.grating_defects import phase, ruled_wave
 from trueangle_training.plant.schedule import FACES
 
 Floats = NDArray[np.float64]

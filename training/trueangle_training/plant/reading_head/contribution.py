@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from trueangle_training.plant.geometry import SignalError
-from trueangle_training.plant.heat import Climate
+from trueangle_training.plant.reading_head.geometry import SignalError
+from trueangle_training.plant.reading_head.heat import Climate
 from trueangle_training.plant.schedule import Schedule
 
 Floats = NDArray[np.float64]
@@ -96,32 +96,3 @@ class Setting:
         """-1 at the coldest to 1 at the hottest reading, shape [n]."""
         middle = self.from_middle_k
         return middle / max(float(np.abs(middle).max()), 1e-9)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CellTruth:
-    """Where an effect lies, in the words of the report's lattice."""
-
-    order: str
-    temperature: str = "constant"
-    direction: str = "even"
-    time: str = "constant"
-    speed: str = "constant"
-    load: str = "constant"
-    frame: str = "encoder"
-    moment: str = "mean"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Defect:
-    """One thing that is wrong with the joint or the measurement, of a size to be chosen."""
-
-    name: str
-    """Of the effect in reports, or of the unknown family."""
-    in_library: bool
-    kind: str
-    """mean, random, event or variance."""
-    contribute: Callable[[float], Contribution]
-    """Size to contribution; size 1 is about an arcsecond."""
-    cells: tuple[CellTruth, ...]
-    parameters: dict[str, float]
