@@ -16,7 +16,7 @@ from trueangle_training.plant.schedule import Schedule
 Floats = NDArray[np.float64]
 
 HIGHEST_ORDER = 11
-STEEPENING_PER_K = 5e-5
+STEEPENING_PER_K = 3e-5
 """Relative growth of an expansion coefficient."""
 SPAN_K = 15.0
 
@@ -57,10 +57,10 @@ def draw_known(rng: np.random.Generator) -> Known:
         warm_arcsec=warm,
         datum_arcsec_per_k=float(rng.normal(0.0, 0.1)),
         signals=Signals(
-            offset_cos=float(rng.normal(0.0, 1e-4)),
-            offset_sin=float(rng.normal(0.0, 1e-4)),
-            ellipse_cos=float(rng.normal(0.0, 1e-4)),
-            ellipse_sin=float(rng.normal(0.0, 1e-4)),
+            offset_cos=float(rng.normal(0.0, 6e-5)),
+            offset_sin=float(rng.normal(0.0, 6e-5)),
+            ellipse_cos=float(rng.normal(0.0, 6e-5)),
+            ellipse_sin=float(rng.normal(0.0, 6e-5)),
         ),
         stick=float(rng.uniform(0.0, 2e-3)),
     )
@@ -88,7 +88,7 @@ def draw_bench(schedule: Schedule, soak: Soak, encoder: Encoder, rng: np.random.
     """Encoder and reference set up on this shaft."""
     seen_deg = float(rng.uniform(0.3, 1.0))
     half = max(2, int(seen_deg / 360.0 * encoder.lines_per_rev / 2.0))
-    jitter = rng.normal(0.0, float(rng.uniform(0.01, 0.04)), size=encoder.lines_per_rev)
+    jitter = rng.normal(0.0, float(rng.uniform(0.01, 0.03)), size=encoder.lines_per_rev)
     return Bench(
         schedule=schedule,
         soak=soak,

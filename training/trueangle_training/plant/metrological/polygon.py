@@ -104,9 +104,9 @@ def draw_reference(schedule: Schedule, rng: np.random.Generator) -> Reference:
     places = lapped_faces(rng, size_arcsec=float(rng.uniform(0.3, 3.0)))
     polygon = Polygon(
         place_arcsec=places,
-        certified_arcsec=places + rng.normal(0.0, 0.004, size=FACES),
+        certified_arcsec=places + rng.normal(0.0, 0.003, size=FACES),
         pyramidal_arcsec=rng.normal(0.0, 3.0, size=FACES),
-        bend_arcsec_per_mm=rng.normal(0.0, 0.2, size=FACES),
+        bend_arcsec_per_mm=rng.normal(0.0, 0.1, size=FACES),
     )
     mountings, which = np.unique(mounting(schedule), return_inverse=True)
     centring = 0.01 * (rng.normal(size=mountings.size) + 1j * rng.normal(size=mountings.size))
@@ -124,7 +124,7 @@ def draw_reference(schedule: Schedule, rng: np.random.Generator) -> Reference:
             fringe_arcsec=float(rng.uniform(0.0, 4e-3)),
             fringe_period_arcsec=float(rng.uniform(1.2, 6.0)),
         ),
-        two_heads_arcsec=float(rng.normal(0.0, 3e-3)),
+        two_heads_arcsec=float(rng.normal(0.0, 2e-3)),
         on_polygon=on_polygon,
         face=np.where(on_polygon, schedule.face - 1, 0),
         beside_arcsec=np.where(on_polygon, np.rad2deg(beside_rad) * 3600.0, 0.0),

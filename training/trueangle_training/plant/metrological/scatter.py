@@ -75,12 +75,11 @@ def draw_scatter(schedule: Schedule, rng: np.random.Generator) -> Scatter:
 
 
 def _gross(size: int, level: float, rng: np.random.Generator) -> Floats:
-    """Digits misread by one in some place, and a door that slams."""
+    """Digits of whole arcseconds misread, by ten at most, and a door that slams."""
     out = np.zeros(size)
     misread = rng.random(size) < float(rng.uniform(0.001, 0.008))
     count = int(misread.sum())
-    digit = rng.choice([1.0, 2.0, 5.0, 10.0, 20.0], size=count)
-    out[misread] = rng.choice([-1.0, 1.0], size=count) * digit * max(1.0, round(5.0 * level))
+    out[misread] = rng.choice([-1.0, 1.0], size=count) * rng.choice([1.0, 2.0, 3.0, 5.0, 10.0], size=count)
     for _ in range(int(rng.integers(0, 4))):
         start, length = int(rng.integers(0, max(size - 8, 1))), int(rng.integers(2, 8))
         decay = np.exp(-np.arange(length) / 2.0)
