@@ -124,6 +124,11 @@ class Worker:
     ) -> None:
         self.close()
 
+    @property
+    def pid(self) -> int:
+        """The process id."""
+        return self._process.pid
+
     def ask(self, question: Question, *, pages_on: str | None) -> Json | None:
         """Its answer; None: it died, or was killed."""
         assert self._process.stdin is not None  # noqa: S101 - as it was started
