@@ -112,7 +112,11 @@ def self_heating(bench: Bench, rng: np.random.Generator) -> Defect:
         in_library=True,
         kind="mean",
         contribute=lambda size: Part(turned_arcsec=size * heat, centre_arcsec=size * once * toward * heat),
-        cells=(CellTruth(order="0", time="within_run"), CellTruth(order="0", speed="linear")),
+        cells=(
+            CellTruth(order="0", time="within_run"),
+            CellTruth(order="0", speed="linear"),
+            CellTruth(order="1", time="within_run"),
+        ),
         parameters={"time_constant_s": constant_s},
     )
 

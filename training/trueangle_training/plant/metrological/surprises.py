@@ -73,13 +73,29 @@ def _of_disc(
     )
 
 
+def _also_by_temperature(course: Floats, relative: Floats) -> list[str]:
+    """Words of the lattice's temperature axis in which this campaign lets most of a course be said as well."""
+    shapes = {
+        "linear": [relative[:, None]],
+        "quadratic": [np.column_stack([relative**2, relative**3])],
+        "step": [(relative > split).astype(np.float64)[:, None] for split in np.linspace(-0.9, 0.9, 13)],
+    }
+
+    def carried(shape: Floats) -> float:
+        columns = np.column_stack([np.ones_like(course), shape])
+        left = course - columns @ np.linalg.lstsq(columns, course, rcond=None)[0]
+        return 1.0 - float(left @ left) / float(course @ course)
+
+    return [word for word, tried in shapes.items() if max(carried(shape) for shape in tried) >= 0.5]
+
+
 def cross_hair_turns(bench: Bench, rng: np.random.Generator) -> Defect:
     """The autocollimator turns about its axis over the days: more and more of the faces' tilt is read as angle.
 
     Lapping has left that tilt with a low order, and each face with some of its own.
     """
-    order = int(rng.integers(2, 6))
-    tilt = _face_wave(order, any_phase(rng)) + 0.25 * rng.normal(size=FACES)
+    order = int(rng.integers(3, 6))
+    tilt = _face_wave(order, any_phase(rng)) + 0.15 * rng.normal(size=FACES)
     roll = changing(_age(bench) ** float(rng.uniform(0.5, 2.0)))
     cells = (CellTruth(order=str(order), time="between_runs", frame="polygon"),)
     return _of_reference("cross_hair_turns", "mean", _over_faces(bench, tilt) * roll, cells)
@@ -147,11 +163,11 @@ def smeared_face(bench: Bench, rng: np.random.Generator) -> Defect:
     touched = np.zeros(FACES)
     touched[int(rng.integers(FACES))] = np.sqrt(FACES)
     later = changing((bench.schedule.run >= since).astype(np.float64))
-    cells = (
-        CellTruth(order="localized", time="between_runs", frame="polygon"),
-        CellTruth(order="localized", time="between_runs"),
-        CellTruth(order="localized", frame="polygon"),
-        CellTruth(order="localized"),
+    said = ["constant", *_also_by_temperature(later, 2.0 * bench.from_cold_to_hot - 1.0)]
+    cells = tuple(
+        CellTruth(order="localized", time=time, temperature=temperature, frame=frame)
+        for frame in ("polygon", "encoder")
+        for time, temperature in (("between_runs", "constant"), *(("constant", each) for each in said))
     )
     return _of_reference("smeared_face", "event", _over_faces(bench, touched) * later, cells)
 
