@@ -9,6 +9,8 @@ from scipy.signal import lfilter
 Floats = NDArray[np.float64]
 
 GRID_S = 12.0
+STIFF_ENOUGH = 1e-5
+"""Rate over a step below which the exact weights lose their digits, and the trapezium's are as good."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,10 +55,11 @@ class Row:
 
 def _mode(drive: Floats, *, rate: float, begun: float, step_s: float) -> Floats:
     """y' = drive - rate y, from `begun` at the first step on."""
-    way = max(rate * step_s, 1e-6)
-    decay = float(np.exp(-way))
-    mean = -float(np.expm1(-way)) / way
-    new, old = (1.0 - mean) * step_s / way, (mean - decay) * step_s / way
+    way = rate * step_s
+    decay, new, old = float(np.exp(-way)), 0.5 * step_s, 0.5 * step_s
+    if way > STIFF_ENOUGH:
+        mean = -float(np.expm1(-way)) / way
+        new, old = (1.0 - mean) * step_s / way, (mean - decay) * step_s / way
     # The filter's memory before its second value: what the first one leaves.
     out, _ = lfilter([new, old], [1.0, -decay], drive[1:], zi=[old * drive[0] + decay * begun])
     return np.concatenate([[begun], np.asarray(out, dtype=np.float64)])

@@ -73,14 +73,13 @@ def seat_settling(stand: Stand, rng: np.random.Generator) -> Defect:
     return _unknown("seat_settling", lambda size: Share(track_arcsec=size * course * wave), cells)
 
 
-def tilt_by_motion_heat(stand: Stand, rng: np.random.Generator) -> Defect:
-    """The bearing warms the shoulder on one side: the grating tilts while the shaft is worked, and comes back."""
-    heat = stand.heat.motion_heat(
-        float(np.exp(rng.uniform(np.log(150.0), np.log(900.0)))), film_share=0.5, place=1.0
-    )
-    toward = 2.0 * heat * phasor(rng)
-    cells = (CellTruth(order="2", time="within_run"), CellTruth(order="2", time="between_runs"))
-    return _unknown("tilt_by_motion_heat", lambda size: Share(oval_arcsec=size * toward), cells)
+def daily_bending(stand: Stand, rng: np.random.Generator) -> Defect:
+    """The sun comes round the hall: the stand's feet press the ring once a day, whatever the chamber does."""
+    feet, wave = _feet(stand, rng, least=2, most=6)
+    hours = stand.conditions.schedule.time_s / 3600.0
+    course = np.sin(2.0 * np.pi * (hours / 24.0 + float(rng.random())))
+    cells = (CellTruth(order=str(feet), time="between_runs"),)
+    return _unknown("daily_bending", lambda size: Share(track_arcsec=1.5 * size * course * wave), cells)
 
 
 def unseated_run(stand: Stand, rng: np.random.Generator) -> Defect:
@@ -96,14 +95,15 @@ def unseated_run(stand: Stand, rng: np.random.Generator) -> Defect:
 
 
 def growing_backlash(stand: Stand, rng: np.random.Generator) -> Defect:
-    """A toothed coupling whose play opens above a temperature."""
+    """A toothed coupling's play opens as it warms; the drive takes off the mean of it, and no more."""
     torque = lugre_torque(stand.conditions.schedule, draw_lugre(rng))
-    open_x = np.maximum(stand.conditions.relative_temperature - float(rng.uniform(-0.2, 0.4)), 0.0)
+    play = np.maximum(stand.conditions.relative_temperature - float(rng.uniform(-1.0, 0.0)), 0.0)
     cells = (
         CellTruth(order="0", direction="odd", temperature="linear"),
         CellTruth(order="0", direction="odd", temperature="quadratic"),
     )
-    return _unknown("growing_backlash", lambda size: Share(twist_arcsec=2.0 * size * torque * open_x), cells)
+    left = torque * (play - float(play.mean()))
+    return _unknown("growing_backlash", lambda size: Share(twist_arcsec=2.0 * size * left), cells)
 
 
 def rubbing_coupling(stand: Stand, rng: np.random.Generator) -> Defect:
@@ -139,7 +139,7 @@ def loaded_ring(stand: Stand, rng: np.random.Generator) -> Defect:
 
 
 ON_ANY_PLAN: dict[str, Family] = {
-    each.__name__: each for each in (preload_loss, clamp_trips, seat_settling, tilt_by_motion_heat, unseated_run)
+    each.__name__: each for each in (preload_loss, clamp_trips, seat_settling, daily_bending, unseated_run)
 }
 ON_RICH_PLAN: dict[str, Family] = ON_ANY_PLAN | {
     each.__name__: each for each in (growing_backlash, rubbing_coupling, spalled_race, loaded_ring)
