@@ -18,11 +18,11 @@ from pathlib import Path
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from tests.benchmarks.diagnosis_check.marks import meets, withheld_truth
 
 from trueangle.contract.calibration import read_campaign
 from trueangle.contract.document import document_from_plain
 from trueangle.contract.joint import joint_from_document
+from trueangle_training.blind_check.marks import meets, withheld_truth
 from trueangle_training.diagnosis.attribution import attribute
 from trueangle_training.diagnosis.axes import axes_of
 from trueangle_training.diagnosis.confidence import COEFFICIENTS, Grounds, features

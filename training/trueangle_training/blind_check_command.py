@@ -66,6 +66,9 @@ def _positive(text: str) -> int:
 
 def run(arguments: argparse.Namespace, surroundings: Surroundings) -> int:
     """Draw, seal, diagnose, open, score."""
+    # Before numpy is loaded, here and in the processes that draw: two threads each would fight over the cores.
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
     from trueangle_training.blind_check import check, looks
     from trueangle_training.blind_check.wording import summary_lines
 

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import numpy as np
@@ -47,7 +47,7 @@ class Sizes:
 
     noise: int = 400
     parametric: int = 200
-    single: int = 1900
+    single: int = 2000
     pair: int = 300
     confounded: int = 200
     unknown: int = 400
@@ -86,6 +86,9 @@ def wishes(sizes: Sizes, *, plan: PlanChoice, plants: Sequence[str], seed: int) 
     if plan == "both":
         paper, rich = sizes.split(RICH_SHARE)
         parts: list[tuple[PlanName, Sizes]] = [("paper", paper), ("rich", rich)]
+    elif plan == "rich":
+        # It tells apart what the other plan confounds: all pairs are separable ones.
+        parts = [(plan, replace(sizes, pair=sizes.pair + sizes.confounded, confounded=0))]
     else:
         parts = [(plan, sizes)]
     # Sets that differ in anything share no case: one that was seen must not come back under another number.
@@ -205,7 +208,8 @@ def _single(draw: _Draw, sizes: Sizes) -> Iterator[Wish]:
     else:
         often = {name: 6 if draw.both and name in HIDDEN_ON_PAPER else 1 for name in seen}
     rounds = [(name, enr) for name, times in often.items() for enr in ENR_ROUND for _ in range(times)]
-    rng, turns = draw.rng("single"), dict.fromkeys(often, 0)
+    # Plants take turns, each effect beginning with another one: small sets hold all of them, too.
+    rng, turns = draw.rng("single"), {name: number for number, name in enumerate(often)}
     order: list[int] = []
     while len(order) < sizes.single:
         order += [int(place) for place in rng.permutation(len(rounds))]

@@ -102,6 +102,7 @@ def run(order: Order, *, say: Callable[[str], None], bar: Bar) -> Json:
     say(f"{'sealed':<17}{cases} cases, manifest SHA-256 {manifest}")
     with bar(f"diagnosing {sum(len(each.seal.case_ids) for each in rounds)} cases") as progress:
         ask_all(rounds, processes=order.processes, told=progress)
+    changed = diagnosis_sha256() != frozen
     with bar("opening the seal, scoring") as progress:
         progress(0, 1)
         truths = [opened(each.folder, each.seal) for each in rounds]
@@ -118,6 +119,7 @@ def run(order: Order, *, say: Callable[[str], None], bar: Bar) -> Json:
         "seal": {"manifest_sha256": manifest, "cases": cases, "skipped": skipped},
         "commit": commit(),
         "diagnosis_sha256": frozen,
+        "diagnosis_changed": changed,
         "on": order.today.isoformat(),
         "seen": asdict(seen),
         "crashed": [record for record in records if "crashed" in record],

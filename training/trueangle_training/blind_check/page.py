@@ -10,6 +10,8 @@ Json = dict[str, Any]
 
 SHOWN_FAILURES = 400
 DASH, MINUS = "\N{EN DASH}", "\N{MINUS SIGN}"
+NO_SHARES = ("median", "calibration", "sealed minus")
+"""In the names of figures that are no counts."""
 PLANS = {"paper": "the paper's plan", "rich": "the rich plan", "both": "both plans"}
 GROUPS = {
     "all": "all of these together",
@@ -130,12 +132,14 @@ def _interval(row: Json) -> str:
 
 def _bound(row: Json, column: str) -> str:
     sign = "≤" if row["at_most"] else "≥"
-    is_share = row["hits"] is not None or row["cases"] == 0
-    return f"{sign} {100 * row[column]:g} %" if is_share and row[column] <= 1 else f"{sign} {row[column]:g}"
+    is_share = row["hits"] is not None or (
+        row["cases"] == 0 and not any(word in row["name"] for word in NO_SHARES)
+    )
+    return f"{sign} {100 * row[column]:g} %" if is_share else f"{sign} {row[column]:g}"
 
 
 def _words(name: str) -> str:
-    return name.replace("_", " ")
+    return name.replace("_", " ").replace(">=", "\N{GREATER-THAN OR EQUAL TO}")
 
 
 def _answer(case: Json) -> str:

@@ -12,6 +12,10 @@ def summary_lines(result: Json) -> list[str]:
     head = f"{'figure':<{NAME_WIDTH}}{'found':>8}  {'95 %':<15}{'cases':>11}   must              ambitious"
     lines = ["", head, *(_figure_line(row) for row in result["figures"]), ""]
     lines += [*_canary_lines(result["canary"]), _seen_line(result)]
+    if result["diagnosis_changed"]:
+        lines.append(
+            f"{'changed':<17}the diagnosis' sources, while it was asked: not every answer is of one state"
+        )
     if result["crashed"]:
         lines.append(
             f"{'crashed':<17}{len(result['crashed'])} cases, the first: {result['crashed'][0]['case_id']}"
