@@ -15,6 +15,7 @@ from trueangle_training.blind_check.case_set import (
     PlanChoice,
     Sizes,
     effects_of,
+    spares_of,
     wishes,
     withheld_wishes,
 )
@@ -188,6 +189,10 @@ def test_of_a_confounded_pair_a_class_is_right_and_one_confident_name_is_not() -
     assert not one_name["confounded_ok"]
     assert one_name["confounded_met"]
     assert not one_name["confident_wrong"]
+    both = marked(
+        answer("named", cause("localized_defect"), cause("graduation_error")), *two, stratum="confounded"
+    )
+    assert both["confounded_ok"]
     elsewhere = marked(answer("named", cause("thermal_lag")), *two, stratum="confounded")
     assert not elsewhere["confounded_met"]
     assert elsewhere["confident_wrong"]
@@ -226,6 +231,16 @@ def test_the_case_set_has_all_strata_in_the_targets_sizes() -> None:
     assert {wish.plant for wish in found} == set(PLANTS)
     assert all(set(wish.names) <= set(PLANTS[wish.plant].library) for wish in found if wish.stratum == "pair")
     assert len({(wish.plant, wish.names) for wish in found if wish.stratum == "unknown"}) >= 10
+
+
+def test_a_pair_that_cannot_be_has_spares_of_the_same_kind_and_others_have_none() -> None:
+    pair = Wish(seed=7, plan="paper", stratum="pair", names=("windup", "thermal_lag"), enr=2.0, ratio=0.3)
+    spares = spares_of(pair)
+    assert spares == spares_of(pair)
+    assert {(spare.enr, spare.ratio, spare.stratum) for spare in spares} == {(2.0, 0.3, "pair")}
+    assert all(len(set(spare.names)) == 2 and not set(spare.names) & set(HIDDEN_ON_PAPER) for spare in spares)
+    assert len({spare.names for spare in spares}) > 1
+    assert spares_of(replace(pair, stratum="single")) == ()
 
 
 @pytest.mark.parametrize("plan", ["paper", "rich", "both"])

@@ -20,6 +20,8 @@ ENR_ROUND = (0.2, 0.5, 1.0, 1.0, 2.0, 2.0, 5.0, 5.0)
 UNKNOWN_ENRS = (0.5, 1.0, 2.0, 5.0)
 WITHHELD_ENRS = (1.0, 2.0, 5.0)
 PAIR_RATIOS = (0.7, 0.3)
+SPARES = 4
+"""Other pairs for one that the plan does not let be what it should be."""
 RICH_SHARE = 0.3
 """Of the cases, where both plans are asked for: a rich one takes five times as long."""
 NEVER_NAMED = "temperature_sensor_error"
@@ -221,17 +223,34 @@ def _single(draw: _Draw, sizes: Sizes) -> Iterator[Wish]:
         yield draw.wish(f"single/{i}", plant=plant, stratum="single", names=(name,), enr=enr)
 
 
+def pair_names(stratum: Stratum, plan: PlanName, plant: str) -> list[str]:
+    """What the two effects of a case are chosen from."""
+    if stratum == "confounded":
+        return [name for name in CONSTANT_OVER_FACES if name in PLANTS[plant].library]
+    hidden = HIDDEN_ON_PAPER if plan == "paper" else (NEVER_NAMED,)
+    return [name for name in PLANTS[plant].library if name not in (*hidden, *VARIANCE)]
+
+
+def spares_of(wish: Wish) -> tuple[Wish, ...]:
+    """Wishes in its place where no draw fulfils it: other pairs, as many are always separable, or never."""
+    if wish.stratum not in ("pair", "confounded"):
+        return ()
+    rng = np.random.default_rng([wish.seed, 4])
+    names = pair_names(wish.stratum, wish.plan, wish.plant)
+    return tuple(replace(wish, names=_two(names, rng)) for _ in range(SPARES))
+
+
 def _pairs(draw: _Draw, sizes: Sizes) -> Iterator[Wish]:
     rng = draw.rng("pair")
     for i in range(sizes.pair):
         plant = draw.plants[i % len(draw.plants)]
-        names = [name for name in draw.separable_names() if plant in draw.makers_of(name)]
+        names = pair_names("pair", draw.plan, plant)
         chosen, enr = _two(names, rng), float(rng.choice([1.0, 2.0, 5.0]))
         ratio = PAIR_RATIOS[i // len(draw.plants) % 2]
         yield draw.wish(f"pair/{i}", plant=plant, stratum="pair", names=chosen, enr=enr, ratio=ratio)
     for i in range(sizes.confounded if draw.plan == "paper" else 0):
         plant = draw.plants[i % len(draw.plants)]
-        names = [name for name in CONSTANT_OVER_FACES if plant in draw.makers_of(name)]
+        names = pair_names("confounded", draw.plan, plant)
         chosen, enr = _two(names, rng), float(rng.choice([1.0, 2.0]))
         ratio = PAIR_RATIOS[i // len(draw.plants) % 2]
         yield draw.wish(f"confounded/{i}", plant=plant, stratum="confounded", names=chosen, enr=enr, ratio=ratio)

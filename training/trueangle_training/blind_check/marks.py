@@ -98,7 +98,7 @@ def _judged(
         "caught": report["verdict"] == "unknown" or bool(report.get("unexplained", {}).get("significant")),
         "misnamed": any(not any(_carries(cause, effect) for effect in seen) for cause in named),
         "cell_hit": _cell_hit(seen, report.get("where", [])[:2]),
-        "confounded_ok": _confounded(report, causes, seen, truth.carried_together),
+        "confounded_ok": _exact(seen, named) or _confounded(report, causes, seen, truth.carried_together),
         "confounded_met": _confounded(report, causes, seen, truth.carried_together, lenient=True),
         "fault_named": report["verdict"] == "data_fault",
         "fault_kind": _fault_kind(truth, report),
@@ -161,7 +161,10 @@ def _cell_hit(seen: list[EffectTruth], places: list[Json]) -> bool:
 def _confounded(
     report: Json, causes: list[Json], seen: list[EffectTruth], carriers: tuple[str, ...], *, lenient: bool = False
 ) -> bool:
-    """A class that meets one of the two, or what carries their sum; unless lenient, no single name of it."""
+    """A class that meets one of the two, or what carries their sum; unless lenient, no single name of it.
+
+    To name both, each by a cause of its own, is right too: what is called confounded is so for most of its energy.
+    """
     if report["verdict"] == "unknown":
         return True
     accepted = {*carriers, *(name for effect in seen for name in effect.accepted_names)}
