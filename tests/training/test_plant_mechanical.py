@@ -236,6 +236,7 @@ JUDGED_BY_CELL = {
     "run_to_run_eccentricity": 0.99,
     "loaded_ring": 0.95,
     "rubbing_coupling": 0.95,
+    "rubbing_ring": 0.95,
     "preload_loss": 0.8,
     "clamp_trips": 0.8,
     "unseated_run": 0.95,

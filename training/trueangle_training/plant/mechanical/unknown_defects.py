@@ -5,7 +5,6 @@ from collections.abc import Callable
 import numpy as np
 
 from trueangle_training.plant.defect import CellTruth, Defect
-from trueangle_training.plant.mechanical.bearing import draw_bearing, rolled_turns, whole
 from trueangle_training.plant.mechanical.chain import Floats, Share, Stand, phasor
 from trueangle_training.plant.mechanical.drive_defects import draw_lugre
 from trueangle_training.plant.mechanical.friction import lugre_torque
@@ -115,18 +114,12 @@ def rubbing_coupling(stand: Stand, rng: np.random.Generator) -> Defect:
     return _unknown("rubbing_coupling", lambda size: Share(twist_arcsec=size * twist), cells)
 
 
-def spalled_race(stand: Stand, rng: np.random.Generator) -> Defect:
-    """Each ball that rolls over a spall of the outer ring kicks the shaft to the same side."""
-    bearing = draw_bearing(rng)
-    while whole(bearing.passing_ratio):
-        bearing = draw_bearing(rng)
-    passed = rolled_turns(
-        stand.conditions.schedule, ratio=bearing.passing_ratio, slip=float(rng.uniform(0.0, 1e-5))
-    )
-    phase = 2.0 * np.pi * (passed + float(rng.random()))
-    kick = np.exp(float(rng.uniform(6.0, 9.0)) * (np.cos(phase) - 1.0))
-    cells = (CellTruth(order="non-integer"),)
-    return _unknown("spalled_race", lambda size: Share(index_arcsec=3.0 * size * kick), cells)
+def rubbing_ring(stand: Stand, rng: np.random.Generator) -> Defect:
+    """The ring's high spots rub on a seal and are dragged along, this way or that: friction of an order from 3."""
+    feet, wave = _feet(stand, rng, least=3, most=7)
+    dragged = lugre_torque(stand.conditions.schedule, draw_lugre(rng)) * wave
+    cells = (CellTruth(order=str(feet), direction="odd"),)
+    return _unknown("rubbing_ring", lambda size: Share(twist_arcsec=1.5 * size * dragged), cells)
 
 
 def loaded_ring(stand: Stand, rng: np.random.Generator) -> Defect:
@@ -142,5 +135,5 @@ ON_ANY_PLAN: dict[str, Family] = {
     each.__name__: each for each in (preload_loss, clamp_trips, seat_settling, daily_bending, unseated_run)
 }
 ON_RICH_PLAN: dict[str, Family] = ON_ANY_PLAN | {
-    each.__name__: each for each in (growing_backlash, rubbing_coupling, spalled_race, loaded_ring)
+    each.__name__: each for each in (growing_backlash, rubbing_coupling, rubbing_ring, loaded_ring)
 }
