@@ -26,6 +26,13 @@ def changing(values: Floats, *along: Floats) -> Floats:
     return left / max(float(np.sqrt(np.mean(left**2))), 1e-12)
 
 
+def _changing_on_polygon(bench: Bench, values: Floats, *along: Floats) -> Floats:
+    """The same of the readings on the polygon alone, RMS 1 there; 0 elsewhere."""
+    rows, out = bench.reference.on_polygon, np.zeros_like(values)
+    out[rows] = changing(values[rows], *(each[rows] for each in along))
+    return out
+
+
 def _age(bench: Bench) -> Floats:
     """0 to 1 over the campaign, shape [n]."""
     time_s = bench.schedule.time_s
@@ -96,7 +103,7 @@ def cross_hair_turns(bench: Bench, rng: np.random.Generator) -> Defect:
     """
     order = int(rng.integers(3, 6))
     tilt = _face_wave(order, any_phase(rng)) + 0.15 * rng.normal(size=FACES)
-    roll = changing(_age(bench) ** float(rng.uniform(0.5, 2.0)))
+    roll = _changing_on_polygon(bench, _age(bench) ** float(rng.uniform(0.5, 2.0)))
     cells = (CellTruth(order=str(order), time="between_runs", frame="polygon"),)
     return _of_reference("cross_hair_turns", "mean", _over_faces(bench, tilt) * roll, cells)
 
@@ -108,7 +115,7 @@ def chuck_grips(bench: Bench, rng: np.random.Generator) -> Defect:
     grip = np.sign(relative) * np.maximum(np.abs(relative) - play, 0.0)
     if rng.random() < 0.5:
         grip = np.maximum(relative - float(rng.uniform(0.0, 0.4)), 0.0)
-    pattern = _over_faces(bench, _face_wave(3, any_phase(rng))) * changing(grip, relative)
+    pattern = _over_faces(bench, _face_wave(3, any_phase(rng))) * _changing_on_polygon(bench, grip, relative)
     cells = (
         CellTruth(order="3", temperature="quadratic", frame="polygon"),
         CellTruth(order="3", temperature="step", frame="polygon"),
@@ -162,7 +169,7 @@ def smeared_face(bench: Bench, rng: np.random.Generator) -> Defect:
     since = int(rng.choice(runs[runs.size // 4 : -(runs.size // 4)]))
     touched = np.zeros(FACES)
     touched[int(rng.integers(FACES))] = np.sqrt(FACES)
-    later = changing((bench.schedule.run >= since).astype(np.float64))
+    later = _changing_on_polygon(bench, (bench.schedule.run >= since).astype(np.float64))
     said = ["constant", *_also_by_temperature(later, 2.0 * bench.from_cold_to_hot - 1.0)]
     cells = tuple(
         CellTruth(order="localized", time=time, temperature=temperature, frame=frame)
@@ -175,7 +182,7 @@ def smeared_face(bench: Bench, rng: np.random.Generator) -> Defect:
 def jaw_under_load(bench: Bench, rng: np.random.Generator) -> Defect:
     """The load goes through the polygon's seat: an order of its faces bends in proportion."""
     order, load = int(rng.integers(3, 8)), bench.schedule.load_nm
-    pattern = _over_faces(bench, _face_wave(order, any_phase(rng))) * changing(load)
+    pattern = _over_faces(bench, _face_wave(order, any_phase(rng))) * _changing_on_polygon(bench, load)
     cells = (CellTruth(order=str(order), load="linear", frame="polygon"),)
     return _of_reference("jaw_under_load", "mean", pattern, cells)
 
