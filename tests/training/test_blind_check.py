@@ -319,6 +319,14 @@ def test_a_bound_is_met_or_missed_by_the_whole_interval() -> None:
     assert figure(30, 400, "false alarm, noise only") is Status.MISSED
 
 
+def test_a_calibration_error_of_few_cases_is_not_judged() -> None:
+    records = [marked(answer("named", cause("windup", probability=0.7)), effect("windup"))] * 50
+    found = {figure.name: figure for figure in table(records)}["calibration error, class"]
+    assert found.value == pytest.approx(0.3)
+    assert found.must is Status.UNDECIDED
+    assert replace(found, cases=800).must is Status.MISSED
+
+
 def test_inflation_is_the_difference_with_the_interval_of_newcombe() -> None:
     found = inflation((56, 70), (48, 80))
     # Newcombe 1998, table II (a): 56/70 - 48/80 = 0.2; with score intervals 0.0524 to 0.3339, exact ones wider.

@@ -38,6 +38,8 @@ class Bound:
     ambitious: float
     interval_below: float | None = None
     """Where it is given, the figure itself keeps the bound and its interval stays below this: 11 of 400."""
+    least_cases: int = 0
+    """Fewer leave it undecided: by chance alone a calibration error is too large, a worst effect too bad."""
     beside: bool = False
     """Reported, but no row of the targets' table."""
 
@@ -55,7 +57,7 @@ BOUNDS = {
     "right class, ENR >= 0.5": Bound(must=0.93, ambitious=0.97),
     "right class, ENR 0.2, rich plan": Bound(must=0.70, ambitious=0.85),
     "right class, ENR 0.2, paper's plan": Bound(must=0.35, ambitious=0.45),
-    "worst single effect, ENR >= 1": Bound(must=0.80, ambitious=0.90),
+    "worst single effect, ENR >= 1": Bound(must=0.80, ambitious=0.90, least_cases=60),
     "exact set, one effect, ENR >= 0.5": Bound(must=0.90, ambitious=0.95, beside=True),
     "confident wrong name, all strata": Bound(must=0.03, ambitious=0.01),
     "unknown caught, ENR >= 1": Bound(must=0.90, ambitious=0.98),
@@ -72,8 +74,8 @@ BOUNDS = {
     "separable pair 1:0.3, exact set": Bound(must=0.50, ambitious=0.75, beside=True),
     "confounded pair: class or abstains": Bound(must=0.95, ambitious=0.99),
     "confounded pair: met at all": Bound(must=0.95, ambitious=0.99, beside=True),
-    "calibration error, class": Bound(must=0.05, ambitious=0.03),
-    "calibration error, name": Bound(must=0.05, ambitious=0.03, beside=True),
+    "calibration error, class": Bound(must=0.05, ambitious=0.03, least_cases=800),
+    "calibration error, name": Bound(must=0.05, ambitious=0.03, least_cases=800, beside=True),
     "broken input: a data fault": Bound(must=0.95, ambitious=1.0, beside=True),
     "broken input: the right fault": Bound(must=0.90, ambitious=1.0, beside=True),
     "closure error, median, ENR >= 0.5": Bound(must=0.06, ambitious=0.04),
@@ -115,6 +117,8 @@ class Figure:
             return Status.NOT_JUDGED
         sign = 1.0 if self.bound.at_most else -1.0
         near, far = sorted((sign * self.low, sign * self.high))
+        if self.cases < self.bound.least_cases:
+            return Status.UNDECIDED
         if near > sign * bound:
             return Status.MISSED
         limit = self.bound.interval_below
