@@ -1,6 +1,7 @@
 """The mechanical plant: its physics against closed forms, its effects in the cells that they claim."""
 
 import ast
+import contextlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import pytest
 from scipy.special import erfc
 
 from trueangle.contract.calibration import read_campaign
-from trueangle_training.plant.cases import draw_case
+from trueangle_training.plant.cases import Case, draw_case
 from trueangle_training.plant.defect import AtSize
 from trueangle_training.plant.fitting import CaseNotFoundError
 from trueangle_training.plant.listing import Listing, without
@@ -276,15 +277,9 @@ def test_an_unknown_family_scales_with_its_size(name: str, rich: Joint) -> None:
 
 @pytest.mark.parametrize("family", list(ON_ANY_PLAN))
 def test_an_unknown_is_carried_by_no_effect_of_the_library(family: str) -> None:
-    for seed in range(8, 13):
-        try:
-            case = draw_case(Wish(seed=seed, plan="paper", stratum="unknown", names=(family,), plant="B"))
-        except CaseNotFoundError:
-            continue
-        assert case.truth.expected == "unknown"
-        assert max(case.truth.effects[0].contained_in.values(), default=0.0) < 0.75
-        return
-    raise AssertionError(f"{family}: five plans in a row that cannot hold it")
+    truth = drawable(Wish(seed=8, plan="paper", stratum="unknown", names=(family,), plant="B")).truth
+    assert truth.expected == "unknown"
+    assert max(truth.effects[0].contained_in.values(), default=0.0) < 0.75
 
 
 def test_a_sound_joint_has_nothing_that_re_calibration_does_not_take_up() -> None:
@@ -338,6 +333,28 @@ def test_files_are_read_by_the_product_and_scatter_as_the_truth_says() -> None:
     assert [line.split(":")[0] for line in case.joint_yaml.splitlines()[:6]] == [
         line.split(":")[0] for line in other.joint_yaml.splitlines()[:6]
     ]
+
+
+def test_a_wish_for_what_the_plant_cannot_make_is_refused() -> None:
+    wish = Wish(seed=3, plan="paper", stratum="pair", names=("thermal_tilt", "reference_artefact"), plant="B")
+    with pytest.raises(CaseNotFoundError, match="reference_artefact"):
+        draw_case(wish)
+
+
+def drawable(wish: Wish) -> Case:
+    """A seed further on where this one's plan makes the case ambiguous."""
+    for seed in range(wish.seed, wish.seed + 5):
+        with contextlib.suppress(CaseNotFoundError):
+            return draw_case(replace(wish, seed=seed))
+    raise AssertionError(f"{wish}: five plans in a row that cannot hold it")
+
+
+def test_two_effects_of_a_pair_have_the_ratio_that_was_asked_for() -> None:
+    names = ("thermal_tilt", "run_to_run_eccentricity")
+    wish = Wish(seed=3, plan="paper", stratum="pair", names=names, enr=2.0, ratio=0.3, plant="B")
+    effects = drawable(wish).truth.effects
+    assert [effect.name for effect in effects] == list(names)
+    assert effects[1].enr == pytest.approx(0.3 * effects[0].enr, rel=0.02)
 
 
 @pytest.mark.parametrize(("constant", "seen"), [((1, 2), True), ((2,), False)])

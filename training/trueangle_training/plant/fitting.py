@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from trueangle_training.plant.data_faults import DATA_FAULTS
 from trueangle_training.plant.defect import AtSize, Defect
 from trueangle_training.plant.listing import draw_listing, without
 from trueangle_training.plant.plants import PLANTS
@@ -42,7 +43,10 @@ class Sized:
 def fitting(world: World, wish: Wish, rng: np.random.Generator) -> tuple[World, tuple[Sized, ...]]:
     """Draw the defects until they are what the wish asks for, or as near as the attempts came."""
     plant = PLANTS[wish.plant]
-    names = [name for name in wish.names if name in plant.library or name in plant.unknown["rich"]]
+    names = [name for name in wish.names if name not in DATA_FAULTS]
+    missing = [name for name in names if name not in plant.library and name not in plant.unknown["rich"]]
+    if missing:
+        raise CaseNotFoundError(f"plant {plant.letter} cannot make {', '.join(missing)}")
     if not names:
         return world, ()
     found: tuple[World, tuple[Sized, ...]] | None = None
