@@ -244,7 +244,7 @@ def test_a_second_call_asks_only_what_is_missing_and_another_diagnosis_everythin
 
 
 def look(sha: str, **changed: Any) -> Json:
-    return {"set": {**CONDITIONS, **changed}, "diagnosis_sha256": sha, "figures": {}}
+    return {"set": {**CONDITIONS, **changed}, "diagnosis_sha256": sha, "quick": False, "figures": {}}
 
 
 def test_looks_count_states_of_the_diagnosis_and_not_repetitions(tmp_path: Path) -> None:
@@ -254,18 +254,22 @@ def test_looks_count_states_of_the_diagnosis_and_not_repetitions(tmp_path: Path)
         looks.append(path, look(sha))
     looks.append(path, look("three", seed=7))
     kept = looks.looks_in(path)
-    fresh = looks.seen_in(kept, CONDITIONS, diagnosis="new")
+    fresh = looks.seen_in(kept, CONDITIONS, diagnosis="new", quick=False)
     assert (fresh.before, fresh.same_diagnosis, fresh.number) == (2, False, 3)
-    again = looks.seen_in(kept, CONDITIONS, diagnosis="two")
+    again = looks.seen_in(kept, CONDITIONS, diagnosis="two", quick=False)
     assert (again.before, again.same_diagnosis) == (1, True)
-    assert looks.seen_in(kept, {**CONDITIONS, "plant": "B"}, diagnosis="new").before == 0
-    assert not looks.seen_in(None, CONDITIONS, diagnosis="new").logged
+    assert not looks.seen_in(kept, CONDITIONS, diagnosis="two", quick=True).same_diagnosis
+    assert looks.seen_in(kept, {**CONDITIONS, "plant": "B"}, diagnosis="new", quick=False).before == 0
+    assert not looks.seen_in(None, CONDITIONS, diagnosis="new", quick=False).logged
 
 
 def test_one_withheld_effect_among_all_was_seen_with_all() -> None:
     kept = [look("one", withhold="all", cases=240)]
-    assert looks.seen_in(kept, {**CONDITIONS, "withhold": "windup", "cases": 12}, diagnosis="new").before == 1
-    assert looks.seen_in(kept, CONDITIONS, diagnosis="new").before == 0
+    assert (
+        looks.seen_in(kept, {**CONDITIONS, "withhold": "windup", "cases": 12}, diagnosis="new", quick=False).before
+        == 1
+    )
+    assert looks.seen_in(kept, CONDITIONS, diagnosis="new", quick=False).before == 0
 
 
 def test_a_broken_log_is_named_by_line(tmp_path: Path) -> None:

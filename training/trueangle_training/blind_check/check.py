@@ -94,7 +94,7 @@ def run(order: Order, *, say: Callable[[str], None], bar: Bar) -> Json:
     ContractError: the folder holds another set, or what was sealed has been changed.
     """
     frozen = diagnosis_sha256()
-    seen = looks.seen_in(order.looks, order.conditions, diagnosis=frozen)
+    seen = looks.seen_in(order.looks, order.conditions, diagnosis=frozen, quick=order.quick)
     rounds = _sealed_rounds(order, frozen, bar)
     manifest = _manifest_sha256(rounds)
     cases = sum(len(each.seal.case_ids) for each in _once(rounds))

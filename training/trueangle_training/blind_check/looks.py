@@ -49,11 +49,11 @@ def looks_in(path: Path) -> list[Json]:
     return found
 
 
-def seen_in(looks: Sequence[Json] | None, conditions: Mapping[str, Any], *, diagnosis: str) -> Seen:
-    """How often this set was seen; None: nobody keeps count."""
+def seen_in(looks: Sequence[Json] | None, conditions: Mapping[str, Any], *, diagnosis: str, quick: bool) -> Seen:
+    """How often this set was seen; None: nobody keeps count. The quick way sees less, so is a look of its own."""
     same = [each for each in looks or () if _shares_cases(each["set"], conditions)]
     states = {each["diagnosis_sha256"] for each in same}
-    again = diagnosis in states
+    again = any(each["diagnosis_sha256"] == diagnosis and each["quick"] == quick for each in same)
     before = len(states - {diagnosis})
     return Seen(before=before, same_diagnosis=again, number=before + 1, logged=looks is not None)
 
