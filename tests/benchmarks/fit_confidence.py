@@ -19,11 +19,11 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from tests.benchmarks.diagnosis_check.marks import meets, withheld_truth
 
 from trueangle.contract.calibration import read_campaign
 from trueangle.contract.document import document_from_plain
 from trueangle.contract.joint import joint_from_document
+from trueangle_training.blind_check.marks import meets, withheld_truth
 from trueangle_training.diagnosis.attribution import attribute
 from trueangle_training.diagnosis.axes import axes_of
 from trueangle_training.diagnosis.confidence import COEFFICIENTS, Grounds, features, probabilities
@@ -33,9 +33,10 @@ from trueangle_training.diagnosis.verdict import verdict_of
 from trueangle_training.effects import EFFECTS
 from trueangle_training.effects.effect import Hypothesis
 from trueangle_training.plant.cases import draw_case
-from trueangle_training.plant.fitting import CaseNotFoundError, Wish
-from trueangle_training.plant.library_defects import LIBRARY_DEFECTS
-from trueangle_training.plant.unknown_defects import ON_RICH_PLAN
+from trueangle_training.plant.fitting import CaseNotFoundError
+from trueangle_training.plant.reading_head.library_defects import LIBRARY_DEFECTS
+from trueangle_training.plant.reading_head.unknown_defects import ON_RICH_PLAN
+from trueangle_training.plant.wish import Wish
 
 Floats = NDArray[np.float64]
 

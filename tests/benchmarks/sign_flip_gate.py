@@ -24,8 +24,9 @@ from trueangle_training.diagnosis.evidence import scores
 from trueangle_training.diagnosis.problem import problem_of
 from trueangle_training.diagnosis.selection import family_evidence
 from trueangle_training.plant.cases import draw_case
-from trueangle_training.plant.fitting import CaseNotFoundError, Wish
-from trueangle_training.plant.library_defects import LIBRARY_DEFECTS
+from trueangle_training.plant.fitting import CaseNotFoundError
+from trueangle_training.plant.reading_head.library_defects import LIBRARY_DEFECTS
+from trueangle_training.plant.wish import Wish
 
 Floats = NDArray[np.float64]
 

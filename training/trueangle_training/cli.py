@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 from trueangle.contract.errors import TrueangleError
 from trueangle_training import (
+    blind_check_command,
     compare_command,
     demo_command,
     diagnose_command,
@@ -32,6 +33,7 @@ COMMANDS: tuple[Register, ...] = (
     reproduce_command.register,
     simulate_command.register,
     diagnose_command.register,
+    blind_check_command.register,
     demo_command.register,
 )
 EXIT_BAD_INPUT = 2

@@ -1,5 +1,7 @@
-"""A development plant: campaigns whose truth is known, made without anything of effects, simulator or diagnosis.
+"""Plants: campaigns whose truth is known, made without anything of effects, simulator or diagnosis.
 
-Angles come from the exact geometry of a reading head over a displaced, oval grating; friction and heat are stepped
-through the whole campaign; noise is a sum of Ornstein-Uhlenbeck processes with heavy tails, bursts and gaps.
+What all plants share lies here and holds no physics: the wish for a case, the operator's plan, the files, and the
+judge of what a plan lets anyone see. Each plant is a package of its own that imports nothing of the others:
+`reading_head` (A) the exact geometry of a head over a grating, `mechanical` (B) friction, compliance and heat
+stepped in time, `metrological` (C) a grating of single lines on a bench with an imperfect reference.
 """

@@ -6,12 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trueangle_training.plant.bench import Measured, measure
-from trueangle_training.plant.contribution import together
 from trueangle_training.plant.data_faults import DATA_FAULTS, Columns, damaged
-from trueangle_training.plant.fitting import Sized, Wish, fitting
-from trueangle_training.plant.joint_base import Encoder, base_contribution
+from trueangle_training.plant.fitting import Sized, fitting
 from trueangle_training.plant.joint_file import NAMES, THERMAL_NAMES, Nominal, fitted_nominals, joint_yaml
+from trueangle_training.plant.listing import Encoder
+from trueangle_training.plant.plants import PLANTS
 from trueangle_training.plant.simulator_reach import (
     CONTAINED,
     OTHER_CELLS,
@@ -22,7 +21,10 @@ from trueangle_training.plant.simulator_reach import (
     recalibrated_span,
 )
 from trueangle_training.plant.truth import EffectTruth, Truth
-from trueangle_training.plant.world import Floats, World, base_curve, draw_world, noise_of_one_reading
+from trueangle_training.plant.wish import Wish
+from trueangle_training.plant.world import Measured, World
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,40 +38,23 @@ class Case:
 
 def draw_case(wish: Wish) -> Case:
     """The case of a wish: the same wish, the same bytes."""
-    seeds = np.random.SeedSequence([wish.seed, 0x7A]).spawn(4)
+    seeds = np.random.SeedSequence(_entropy(wish, 0x7A)).spawn(4)
     world_rng, defect_rng, measure_rng, writing_rng = (np.random.default_rng(seed) for seed in seeds)
-    world = draw_world(wish.plan, world_rng)
+    world = PLANTS[wish.plant].draw_world(wish.plan, world_rng)
     world, sized = fitting(world, wish, defect_rng)
-    measured = _measured(world, sized, measure_rng)
+    measured = world.measured([each.placed for each in sized], measure_rng)
     return _written(wish, world, sized, measured, writing_rng)
 
 
-def _measured(world: World, sized: tuple[Sized, ...], rng: np.random.Generator) -> Measured:
-    sensor = world.sensor
-    if not set(world.listing.thermal) <= set(world.listing.constant):
-        # Its bias would show as a constant pattern that nothing listed takes up: an effect, no ordinary sensor.
-        sensor = replace(sensor, bias_c=0.0)
-    for each in sized:
-        if each.defect.name == "temperature_sensor_error":
-            parameters = each.defect.parameters
-            sensor = replace(
-                sensor, bias_c=sensor.bias_c + parameters["bias_c"], gain=sensor.gain * parameters["gain"]
-            )
-    base = base_contribution(world.setting, world.base, world.listing)
-    return measure(
-        world.setting,
-        together([base, *(each.part for each in sized)]),
-        sensor=sensor,
-        noise_arcsec=world.noise.total_arcsec,
-        extra_noise=rng.normal(size=len(world.setting.schedule)),
-        reference_step_arcsec=float(rng.choice([0.01, 0.02, 0.05])),
-    )
+def _entropy(wish: Wish, purpose: int) -> list[int]:
+    """Plant A's alone is that of the days when it was alone."""
+    return [wish.seed, purpose] + [ord(letter) for letter in wish.plant if wish.plant != "A"]
 
 
 def _written(
     wish: Wish, world: World, sized: tuple[Sized, ...], measured: Measured, rng: np.random.Generator
 ) -> Case:
-    schedule = world.setting.schedule
+    schedule = world.conditions.schedule
     columns = Columns(
         angle_deg=measured.angle_deg,
         error_arcsec=measured.error_arcsec,
@@ -110,15 +95,15 @@ def _joint_text(wish: Wish, world: World, encoder: Encoder, rng: np.random.Gener
         off = 0.0
     listing = world.listing
     nominals = fitted_nominals(
-        world.setting, base_curve(world), constant=listing.constant, thermal=listing.thermal
+        world.conditions, world.curve_arcsec(()), constant=listing.constant, thermal=listing.thermal
     )
     nominals = tuple(_moved(each, off, rng) for each in nominals)
-    noise = noise_of_one_reading(world)
+    noise = world.noise_of_one_reading()
     return joint_yaml(
         lines_per_rev=encoder.lines_per_rev,
         counts_per_rev=encoder.counts_per_rev,
         repeatability_arcsec=noise * float(np.exp(rng.normal(0.0, 0.1))),
-        sensor_step_c=world.sensor.step_c,
+        sensor_step_c=world.sensor_step_c,
         constant=listing.constant,
         thermal=listing.thermal,
         nominals=None if left_out and wish.stratum != "parametric" else nominals,
@@ -134,7 +119,7 @@ def _moved(nominal: Nominal, off: float, rng: np.random.Generator) -> Nominal:
 def _truth(
     wish: Wish, world: World, sized: tuple[Sized, ...], rows: NDArray[np.int64], fault: str | None
 ) -> Truth:
-    span = recalibrated_span(world.setting, world.listing)
+    span = recalibrated_span(world.conditions, world.listing)
     effects = tuple(_effect_truth(world, each, span, rows) for each in sized)
     visible = [each for each in effects if each.visible]
     expected = "none" if not visible else "named" if all(each.accepted_names for each in visible) else "unknown"
@@ -142,18 +127,19 @@ def _truth(
     constant, thermal = world.listing.constant, world.listing.thermal
     listed = [NAMES.get(k, "graduation_error") for k in constant] + [THERMAL_NAMES[k] for k in thermal]
     return Truth(
-        case_id=f"{np.random.SeedSequence([wish.seed, 0x1D]).generate_state(1, np.uint64)[0]:016x}",
+        case_id=f"{np.random.SeedSequence(_entropy(wish, 0x1D)).generate_state(1, np.uint64)[0]:016x}",
         seed=wish.seed,
+        plant=wish.plant,
         plan=wish.plan,
         stratum=wish.stratum,
         asked_enr=wish.enr if sized else 0.0,
-        noise_arcsec=noise_of_one_reading(world),
+        noise_arcsec=world.noise_of_one_reading(),
         effects=effects,
         listed=tuple(dict.fromkeys(listed)),
         data_fault=fault,
         expected="data_fault" if fault else expected,
         carried_together=_carriers(world, structure, span),
-        structure_arcsec=sum(structure, np.zeros(len(world.setting.schedule)))[rows],
+        structure_arcsec=sum(structure, np.zeros(len(world.conditions.schedule)))[rows],
     )
 
 
@@ -162,7 +148,7 @@ def _carriers(world: World, curves: list[Floats], span: Span) -> tuple[str, ...]
     if len(curves) < 2:
         return ()
     summed = sum(curves, np.zeros_like(curves[0]))
-    carried = containments(summed, world.setting, span, base_arcsec=base_curve(world))
+    carried = containments(summed, world.conditions, span, base_arcsec=world.curve_arcsec(()))
     return tuple(name for name, share in carried.items() if share >= CONTAINED)
 
 
@@ -173,10 +159,12 @@ def _effect_truth(world: World, sized: Sized, span: Span, rows: NDArray[np.int64
     if visible and defect.kind != "variance":
         carried = {
             k: v
-            for k, v in containments(sized.curve, world.setting, span, base_arcsec=base_curve(world)).items()
+            for k, v in containments(
+                sized.curve, world.conditions, span, base_arcsec=world.curve_arcsec(())
+            ).items()
             if v >= 0.5
         }
-        shares = cell_shares(sized.curve, world.setting, span)
+        shares = cell_shares(sized.curve, world.conditions, span)
         own = max((shares.get(cell, 0.0) for cell in defect.cells), default=0.0)
         cells += [cell for cell, share in shares.items() if share >= max(0.5, 0.9 * own)]
         cells += [

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trueangle_training.plant.contribution import Setting
+from trueangle_training.plant.conditions import Conditions
 from trueangle_training.plant.schedule import FACES
 from trueangle_training.plant.simulator_reach import harmonic
 
@@ -26,13 +26,13 @@ class Nominal:
 
 
 def fitted_nominals(
-    setting: Setting, error: Floats, *, constant: tuple[int, ...], thermal: tuple[int, ...]
+    conditions: Conditions, error: Floats, *, constant: tuple[int, ...], thermal: tuple[int, ...]
 ) -> tuple[Nominal, ...]:
     """The listed orders of a noise-free error curve, by least squares with the offsets free."""
-    groups = np.unique(setting.schedule.zero_group)
-    warm = (setting.climate.temperature_c - 20.0)[:, None]
-    columns = [harmonic(setting, k) for k in constant] + [harmonic(setting, k) * warm for k in thermal]
-    offsets = (setting.schedule.zero_group[:, None] == groups[None, :]).astype(np.float64)
+    groups = np.unique(conditions.schedule.zero_group)
+    warm = (conditions.temperature_c - 20.0)[:, None]
+    columns = [harmonic(conditions, k) for k in constant] + [harmonic(conditions, k) * warm for k in thermal]
+    offsets = (conditions.schedule.zero_group[:, None] == groups[None, :]).astype(np.float64)
     fit = np.linalg.lstsq(np.column_stack([*columns, offsets, warm]), error, rcond=None)[0]
     keys = [(k, False) for k in constant] + [(k, True) for k in thermal]
     return tuple(

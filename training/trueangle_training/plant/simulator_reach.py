@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trueangle_training.plant.contribution import CellTruth, Setting
-from trueangle_training.plant.friction import friction_at_readings
-from trueangle_training.plant.heat import follow
+from trueangle_training.plant.conditions import Conditions
+from trueangle_training.plant.defect import CellTruth
+from trueangle_training.plant.history import follow, friction_at_readings
+from trueangle_training.plant.listing import Listing
 from trueangle_training.plant.schedule import FACES
 
 Floats = NDArray[np.float64]
@@ -20,14 +21,6 @@ VISIBLE_FRACTION = 0.01
 """Below this an effect cannot be told from what is re-calibrated."""
 CONTAINED = 0.95
 """From this on one effect can carry another's curve."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Listing:
-    """The effects that JOINT.yaml lists, as orders."""
-
-    constant: tuple[int, ...]
-    thermal: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -41,24 +34,24 @@ class Span:
         return curves - self.basis @ (self.basis.T @ curves)
 
 
-def harmonic(setting: Setting, order: int) -> Floats:
+def harmonic(conditions: Conditions, order: int) -> Floats:
     """cos and sin of an order at the true angles, [n, 2]; a column of ones at order 0."""
     if order == 0:
-        return np.ones((len(setting.schedule), 1))
-    angle = order * np.deg2rad(setting.schedule.angle_deg)
+        return np.ones((len(conditions.schedule), 1))
+    angle = order * np.deg2rad(conditions.schedule.angle_deg)
     return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def recalibrated_span(setting: Setting, listing: Listing) -> Span:
+def recalibrated_span(conditions: Conditions, listing: Listing) -> Span:
     """One offset for each zero group, the datum's drift with temperature, and the listed orders."""
-    groups = np.unique(setting.schedule.zero_group)
+    groups = np.unique(conditions.schedule.zero_group)
     columns = [
-        (setting.schedule.zero_group[:, None] == groups[None, :]).astype(np.float64),
-        setting.from_middle_k[:, None],
+        (conditions.schedule.zero_group[:, None] == groups[None, :]).astype(np.float64),
+        conditions.from_middle_k[:, None],
     ]
-    columns += [harmonic(setting, order) for order in listing.constant]
-    warm = setting.climate.temperature_c[:, None] - 20.0
-    columns += [harmonic(setting, order) * warm for order in listing.thermal]
+    columns += [harmonic(conditions, order) for order in listing.constant]
+    warm = conditions.temperature_c[:, None] - 20.0
+    columns += [harmonic(conditions, order) * warm for order in listing.thermal]
     return Span(basis=orthonormal(np.column_stack(columns)))
 
 
@@ -77,7 +70,7 @@ def _carried(columns: Floats, span: Span, target: Floats) -> float:
 
 
 def containments(
-    curve: Floats, setting: Setting, span: Span, *, base_arcsec: Floats | float = 0.0
+    curve: Floats, conditions: Conditions, span: Span, *, base_arcsec: Floats | float = 0.0
 ) -> dict[str, float]:
     """How much of a curve's energy outside the span each effect of the library could carry, 0 to 1.
 
@@ -88,8 +81,8 @@ def containments(
     best: dict[str, float] = {}
     if energy <= 0.0:
         return best
-    line_deg = setting.schedule.angle_deg + (curve + base_arcsec) / 3600.0
-    for name, columns in _shapes(setting, line_deg):
+    line_deg = conditions.schedule.angle_deg + (curve + base_arcsec) / 3600.0
+    for name, columns in _shapes(conditions, line_deg):
         best[name] = max(best.get(name, 0.0), _carried(columns, span, target) / energy)
     return best
 
@@ -101,12 +94,12 @@ def _kept(visible: Floats, columns: Floats) -> Floats:
     return visible[:, kept]
 
 
-def _shapes(setting: Setting, line_deg: Floats) -> Iterator[tuple[str, Floats]]:
+def _shapes(conditions: Conditions, line_deg: Floats) -> Iterator[tuple[str, Floats]]:
     """Shapes of the library's effects on these readings, a set of columns each."""
-    x = setting.relative_temperature[:, None]
-    warm = (setting.climate.temperature_c[:, None] - 20.0) / 15.0
+    x = conditions.relative_temperature[:, None]
+    warm = (conditions.temperature_c[:, None] - 20.0) / 15.0
     ones = np.ones_like(x)
-    waves = {order: harmonic(setting, order) for order in range(12)}
+    waves = {order: harmonic(conditions, order) for order in range(12)}
     for order in range(1, 12):
         name = {1: "eccentricity", 2: "grating_tilt"}.get(order, "graduation_error")
         yield name, waves[order]
@@ -116,20 +109,20 @@ def _shapes(setting: Setting, line_deg: Floats) -> Iterator[tuple[str, Floats]]:
     for order in (0, 1, 2):
         yield "thermal_nonlinearity", waves[order] * warm**2
         yield "thermal_nonlinearity", np.column_stack([waves[order] * warm**2, waves[order] * warm**3 * 0.3])
-    yield from _grating_shapes(setting, line_deg)
-    yield from _mechanical_shapes(setting, waves[1], waves[2], ones)
-    yield from _history_shapes(setting, waves[1])
+    yield from _grating_shapes(conditions, line_deg)
+    yield from _mechanical_shapes(conditions, waves[1], waves[2], ones)
+    yield from _history_shapes(conditions, waves[1])
 
 
-def _grating_shapes(setting: Setting, line_deg: Floats) -> Iterator[tuple[str, Floats]]:
-    angle_deg = setting.schedule.angle_deg
+def _grating_shapes(conditions: Conditions, line_deg: Floats) -> Iterator[tuple[str, Floats]]:
+    angle_deg = conditions.schedule.angle_deg
     for width_deg in (3.0, 6.0, 11.0):
         for centre_deg in np.arange(0.0, 360.0, width_deg / 2):
             away = np.abs((angle_deg - centre_deg + 180.0) % 360.0 - 180.0)
             bump = np.clip(1.25 - away / width_deg, 0.0, 1.0)
             if bump.any():
                 yield "localized_defect", bump[:, None]
-    lines = np.deg2rad(line_deg) * setting.lines_per_rev
+    lines = np.deg2rad(line_deg) * conditions.lines_per_rev
     yield (
         "subdivision_error",
         np.column_stack([part for k in (1, 2, 4) for part in (np.cos(k * lines), np.sin(k * lines))]),
@@ -137,9 +130,9 @@ def _grating_shapes(setting: Setting, line_deg: Floats) -> Iterator[tuple[str, F
 
 
 def _mechanical_shapes(
-    setting: Setting, once: Floats, twice: Floats, ones: Floats
+    conditions: Conditions, once: Floats, twice: Floats, ones: Floats
 ) -> Iterator[tuple[str, Floats]]:
-    schedule = setting.schedule
+    schedule = conditions.schedule
     sense = schedule.direction[:, None].astype(np.float64)
     yield "hysteresis", np.column_stack([sense, sense * once])
     yield "hysteresis", np.column_stack([sense, sense * twice])
@@ -168,12 +161,12 @@ def _mechanical_shapes(
             yield "count_loss", step
 
 
-def _history_shapes(setting: Setting, once: Floats) -> Iterator[tuple[str, Floats]]:
-    climate, since = setting.climate, setting.schedule.seconds_into_run()
+def _history_shapes(conditions: Conditions, once: Floats) -> Iterator[tuple[str, Floats]]:
+    since = conditions.schedule.seconds_into_run()
     for constant_s in (400.0, 900.0, 2000.0, 4500.0):
-        behind = (climate.lagged_c(constant_s) - climate.temperature_c)[:, None]
+        behind = (conditions.lagged_c(constant_s) - conditions.temperature_c)[:, None]
         yield "thermal_lag", np.column_stack([behind, behind * once])
-        heat = climate.motion_heat(constant_s)[:, None]
+        heat = conditions.motion_heat(constant_s)[:, None]
         heat = heat / max(float(heat.max()), 1e-9)
         yield "self_heating", np.column_stack([heat, heat * once])
     rest = np.ones(int(since.max() / 5.0) + 2)
@@ -195,26 +188,26 @@ OTHER_CELLS = {
 """Of effects that `cell_shares` has no columns for: places of a pattern that such an effect could carry."""
 
 
-def cell_shares(curve: Floats, setting: Setting, span: Span) -> dict[CellTruth, float]:
+def cell_shares(curve: Floats, conditions: Conditions, span: Span) -> dict[CellTruth, float]:
     """How much of a curve's energy outside the span each cell of the lattice could carry, 0 to 1."""
     target = span.outside(curve)
     energy = float(target @ target)
     shares: dict[CellTruth, float] = {}
     if energy <= 0.0:
         return shares
-    for cell, columns in _cells(setting):
+    for cell, columns in _cells(conditions):
         shares[cell] = max(shares.get(cell, 0.0), _carried(columns, span, target) / energy)
     return shares
 
 
-def _cells(setting: Setting) -> Iterator[tuple[CellTruth, Floats]]:
-    schedule, x = setting.schedule, setting.relative_temperature[:, None]
-    since = setting.schedule.seconds_into_run()[:, None]
+def _cells(conditions: Conditions) -> Iterator[tuple[CellTruth, Floats]]:
+    schedule, x = conditions.schedule, conditions.relative_temperature[:, None]
+    since = conditions.schedule.seconds_into_run()[:, None]
     since = since / max(float(since.max()), 1.0)
     runs = np.unique(schedule.run)
     member = (schedule.run[:, None] == runs[None, :]).astype(np.float64)
     for order in range(12):
-        waves, name = harmonic(setting, order), str(order)
+        waves, name = harmonic(conditions, order), str(order)
         yield CellTruth(order=name), waves
         yield CellTruth(order=name, temperature="linear"), waves * x
         yield CellTruth(order=name, temperature="quadratic"), np.column_stack([waves * x**2, waves * x**3])

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trueangle_training.plant.contribution import CellTruth
+from trueangle_training.plant.defect import CellTruth
 
 Floats = NDArray[np.float64]
 
@@ -39,6 +39,7 @@ class Truth:
 
     case_id: str
     seed: int
+    plant: str
     plan: str
     stratum: str
     asked_enr: float
