@@ -316,6 +316,7 @@ def result_of(records: list[Json]) -> Json:
         "diagnosis_changed": False,
         "on": "2026-01-31",
         "seen": {"before": 2, "same_diagnosis": False, "number": 3, "logged": True},
+        "not_asked": [],
         "crashed": [],
         **figures_of(records),
         "canary": {

@@ -122,6 +122,9 @@ def run(order: Order, *, say: Callable[[str], None], bar: Bar) -> Json:
         "diagnosis_changed": changed,
         "on": order.today.isoformat(),
         "seen": asdict(seen),
+        "not_asked": [
+            name for name in order.effects if name not in {gone for each in rounds for gone in each.without}
+        ],
         "crashed": [record for record in records if "crashed" in record],
         **_figures(order, rounds, parts),
         "canary": _canary(rounds, truths, parts, order.seed),

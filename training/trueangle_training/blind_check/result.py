@@ -276,7 +276,11 @@ def failing_of(record: Json) -> tuple[str, ...]:
         or (stratum == "confounded" and not record["confounded_ok"]),
         "not the exact set": stratum == "pair" and not record["exact"],
         "another fault": stratum == "broken" and record["fault_named"] and not record["fault_kind"],
-        "the wrong place": stratum in ("single", "unknown") and enr >= 0.5 and not record["cell_hit"],
+        # The quick way gives no place to an effect of the scatter.
+        "the wrong place": stratum in ("single", "unknown")
+        and enr >= 0.5
+        and not record["cell_hit"]
+        and bool(record["where"] or record["verdict"] == "none"),
         "closure": _closure_error(record) > 0.1,
     }
     return tuple(name for name, here in wrong.items() if here)

@@ -12,6 +12,8 @@ def summary_lines(result: Json) -> list[str]:
     head = f"{'figure':<{NAME_WIDTH}}{'found':>8}  {'95 %':<15}{'cases':>11}   must              ambitious"
     lines = ["", head, *(_figure_line(row) for row in result["figures"]), ""]
     lines += [*_canary_lines(result["canary"]), _seen_line(result)]
+    if result["not_asked"]:
+        lines.append(f"{'not asked':<17}{', '.join(result['not_asked'])}: hidden by the plan (--plan both)")
     if result["diagnosis_changed"]:
         lines.append(
             f"{'changed':<17}the diagnosis' sources, while it was asked: not every answer is of one state"
