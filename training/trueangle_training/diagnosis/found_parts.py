@@ -10,9 +10,10 @@ from trueangle_training.diagnosis.choice import NARROW
 from trueangle_training.diagnosis.containment import Spans
 from trueangle_training.diagnosis.design_check import CARRIED
 from trueangle_training.diagnosis.generic import ODD_RUN_FAMILY
-from trueangle_training.diagnosis.location import CellFit, Elsewhere, FoundPart
+from trueangle_training.diagnosis.location import CellFit, Elsewhere, FoundPart, order_shares
 from trueangle_training.diagnosis.problem import Problem
 from trueangle_training.diagnosis.selection import NEAR_NATS
+from trueangle_training.effects.cells import Cell
 from trueangle_training.effects.effect import Hypothesis, Nature
 
 SIMPLE_COLUMNS = 2
@@ -49,12 +50,22 @@ def _elsewhere(problem: Problem, attribution: Attribution, spans: Spans, place: 
             continue
         carried = min(1.0, spans.carried_by(shape.main, member.curve_arcsec))
         if rival.log_evidence >= least or (shape.nature is not Nature.RANDOM and carried >= CARRIED):
-            return Elsewhere(cell=shape.cell, carried=carried)
+            return Elsewhere(cell=_cell_of(problem, shape, member), carried=carried)
     found = problem.hypotheses[member.hypothesis_index]
     if found.effect is None and found.cell.temperature != "constant" and _each_temperature_once(problem):
         # Whatever goes with temperature goes with the campaign then.
         return Elsewhere(cell=replace(found.cell, temperature="constant", time="between_runs"), carried=1.0)
     return None
+
+
+def _cell_of(problem: Problem, shape: Hypothesis, member: Member) -> Cell:
+    """Where a shape would have what was found: any pattern over the faces at the order that has most of it."""
+    if _cell_fit(shape) is not CellFit.ANY_ORDER:
+        return shape.cell
+    part = FoundPart(cell=shape.cell, fit=CellFit.ANY_ORDER, curve_arcsec=member.curve_arcsec)
+    unit = np.unique(problem.conditions.run, return_inverse=True)[1].astype(np.int64)
+    shares = order_shares(part, problem.conditions.angle_deg, unit)
+    return max(shares, key=lambda cell: shares[cell])
 
 
 def _each_temperature_once(problem: Problem) -> bool:
