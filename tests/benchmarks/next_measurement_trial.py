@@ -255,7 +255,7 @@ def _measured(conditions: Conditions, true: Joint, seed: int) -> Campaign:
     simulated = simulated_joint(true)
     noise_arcsec = _noise_arcsec(conditions, np.random.default_rng([seed, 1]))
     counts = simulated.indicated_counts(conditions, noise_arcsec, lambda name: np.random.default_rng([seed, 2]))
-    angle_deg = counts * (DEG_PER_TURN / true.encoder.counts_per_rev)
+    angle_deg = counts.astype(np.float64) * (DEG_PER_TURN / true.encoder.counts_per_rev)
     error_arcsec = (angle_deg - conditions.angle_deg) * ARCSEC_PER_DEG
     error_arcsec += simulated.reference_arcsec(conditions, lambda name: np.random.default_rng([seed, 3]))
     _, first, group = np.unique(conditions.zero_group, return_index=True, return_inverse=True)

@@ -188,6 +188,20 @@ def test_what_builds_up_over_the_travel_is_told_from_creep_by_another_pace_only(
     assert found.chosen.name not in same_pace
 
 
+def test_a_further_run_at_the_same_stops_reads_what_was_read_there(one_way: tuple[Problem, Design]) -> None:
+    problem, _ = one_way
+    plan = problem.conditions
+    whole = extended(plan, "another start")
+    assert whole is not None
+    assert plan.face is not None
+    assert whole.face is not None
+    for angle_deg, face in zip(whole.angle_deg[len(plan) :], whole.face[len(plan) :], strict=True):
+        indicated_deg = float(np.median(plan.angle_deg[plan.face == face]))
+        # An eccentricity of 20 arcsec moves the stops by up to a quarter of a line of 79 arcsec.
+        assert np.mod(angle_deg - indicated_deg + 180.0, 360.0) - 180.0 == pytest.approx(0.0, abs=1e-5)
+    assert np.ptp(whole.angle_deg[len(plan) :]) == pytest.approx(360.0 * 22 / 23, abs=0.02)
+
+
 def _member(problem: Problem, effect: str, coefficients: Floats) -> Member:
     place = next(i for i, each in enumerate(problem.hypotheses) if each.effect == effect)
     return Member(

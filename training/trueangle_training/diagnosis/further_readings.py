@@ -12,6 +12,8 @@ Floats = NDArray[np.float64]
 
 POLYGON_SECONDS = 15.0
 SWEEP_SPEED_DEG_S = 5.0
+SAME_STOP_DEG = 0.2
+"""Indicated angles of one stop differ by less: eccentricity makes tens of arcseconds."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,12 +103,20 @@ def _run(
 
 
 def _stops(plan: Conditions) -> tuple[Floats, NDArray[np.int64]]:
-    """Angles and faces of one turn as the plan measures them; a reference encoder's plan: 24 stops."""
+    """Angles and faces of one turn as the plan measures them; a reference encoder's plan: 24 stops.
+
+    At a stop that the plan has already, the angle that the encoder indicates there: of what repeats in each line,
+    the same stop shows the same again.
+    """
     faces = plan.faces if plan.faces is not None else 24
     start = float(plan.angle_deg[0])
     number = np.arange(faces)
+    nominal = start + 360.0 / faces * number
+    off_deg = np.mod(plan.angle_deg[:, None] - nominal + 180.0, 360.0) - 180.0
+    there = np.abs(off_deg) < SAME_STOP_DEG
+    shown = [float(np.median(off_deg[there[:, i], i])) if there[:, i].any() else 0.0 for i in number]
     named = number + 1 if plan.faces is not None else np.zeros(faces, dtype=np.int64)
-    return np.asarray(start + 360.0 / faces * number, dtype=np.float64), named.astype(np.int64)
+    return np.asarray(nominal + shown, dtype=np.float64), named.astype(np.int64)
 
 
 def _both_ways(plan: Conditions) -> Conditions:
@@ -121,7 +131,8 @@ def _both_ways(plan: Conditions) -> Conditions:
 def _other_start(plan: Conditions) -> Conditions:
     angle, face = _stops(plan)
     third = angle.size // 3
-    return _run(plan, angle + 360.0 / angle.size * third, seconds=POLYGON_SECONDS, face=np.roll(face, -third))
+    onwards = np.concatenate([angle[third:], angle[:third] + 360.0])
+    return _run(plan, onwards, seconds=POLYGON_SECONDS, face=np.roll(face, -third))
 
 
 def _remounted(plan: Conditions) -> Conditions | None:

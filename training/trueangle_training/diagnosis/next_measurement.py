@@ -82,7 +82,8 @@ def next_measurement(
     for candidate in CANDIDATES:
         for times in TIMES if suspects else TIMES[:1]:
             conditions = extended(plan, candidate.name, times)
-            if conditions is None:
+            if conditions is None or (times > 1 and len(conditions) > 2 * len(plan)):
+                # More than the campaign has is a campaign of its own, no next measurement.
                 break
             tried.append(_judged(problem, conditions, candidate, times, suspects, unseen, found))
             if len(tried[-1].separates) == len(suspects) - 1:
