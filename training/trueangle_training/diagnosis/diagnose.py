@@ -32,6 +32,7 @@ from trueangle_training.diagnosis.findings import (
     Unexplained,
     conclusion_of,
 )
+from trueangle_training.diagnosis.found_effect import found_effect
 from trueangle_training.diagnosis.found_parts import found_parts
 from trueangle_training.diagnosis.joint_update import FoundShape, JointUpdate, growth_settings, joint_update
 from trueangle_training.diagnosis.location import where
@@ -215,7 +216,7 @@ def _with_physics(prepared: Prepared, checks: DataChecks, progress: Callable[[in
         gap=_gap(shares, closure),
         waterfall=closure.waterfall,
         end_task=task,
-        next_measurement=_next_measurement(prepared, answer),
+        next_measurement=_next_measurement(prepared, attribution, answer),
         notes=(
             *blank.notes,
             *loud_note(problem, attribution.noise),
@@ -236,11 +237,12 @@ def _with_physics(prepared: Prepared, checks: DataChecks, progress: Callable[[in
     )
 
 
-def _next_measurement(prepared: Prepared, answer: which.Verdict) -> str:
+def _next_measurement(prepared: Prepared, attribution: Attribution, answer: which.Verdict) -> str:
     """For the first class of several effects; else what the plan as such asks for."""
     for cause in answer.causes:
         if len(cause.effect_class) > 1:
-            return next_measurement(prepared.problem, prepared.design, cause.effect_class).text
+            found = found_effect(prepared.problem, [attribution.members[place] for place in cause.members])
+            return next_measurement(prepared.problem, prepared.design, cause.effect_class, found).text
     return prepared.sight.next_measurement
 
 
