@@ -24,13 +24,13 @@ from typing import Any
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from tests.benchmarks.diagnosis_check.intervals import exact_binomial
 from tests.training.gap_campaigns import coloured
 
 from trueangle.contract.calibration import Campaign, campaign_to_csv, read_campaign
 from trueangle.contract.document import document_from_plain
 from trueangle.contract.joint import Joint, joint_from_document, plan_from_document
 from trueangle.contract.units import ARCSEC_PER_DEG, DEG_PER_TURN
+from trueangle_training.blind_check.intervals import exact_binomial
 from trueangle_training.diagnosis.attribution import attribute
 from trueangle_training.diagnosis.curve_checks import other_joint_faults
 from trueangle_training.diagnosis.data_checks import data_checks
