@@ -9,6 +9,8 @@ from tests.benchmarks import real_shape, real_shape_campaigns
 from tests.benchmarks.real_shape import NULLS, TABLES, UNIT, Mark, Wish, ask
 from tests.benchmarks.real_shape_campaigns import Table, read_tables
 
+from trueangle_training.diagnosis.problem import problem_of
+
 needs_tables = pytest.mark.skipif(
     not (TABLES / f"{UNIT[0]}.csv").is_file(), reason="the tables of real encoders are not beside the repository"
 )
@@ -46,6 +48,18 @@ def test_a_real_drift_between_runs_is_unknown_and_not_an_effect(tables: Mapping[
     mark = marked(tables, "drift_stepping", 2.0, every_order=False)
     assert (mark.outcome, mark.verdict) == ("right", "unknown")
     assert "time between_runs" in mark.cells[0]
+
+
+def test_at_set_points_of_the_encoder_no_column_follows_the_noise_of_the_reference() -> None:
+    where = real_shape_campaigns.layout(both_ways=False)
+    noise = real_shape_campaigns.noise(where, 64.0, np.random.default_rng(1))
+    measured = real_shape_campaigns.campaign(where, noise)
+    problem = problem_of(measured, real_shape_campaigns.joint(real_shape_campaigns.MAKER_ORDER))
+    again = problem.conditions.run[1:] != problem.conditions.run[:-1]
+    first = np.concatenate([[0], np.flatnonzero(again) + 1])
+    # The first stop of each run is the same angle: a curve of the angle has one value there.
+    for column in problem.modelled.T:
+        assert np.ptp(column[first]) == 0.0
 
 
 def test_the_noise_has_the_size_asked_for_within_the_runs() -> None:
