@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 
 from trueangle.contract.calibration import Campaign
 from trueangle.contract.joint import Joint
-from trueangle.contract.units import ARCSEC_PER_DEG
+from trueangle.contract.units import ARCSEC_PER_DEG, DEG_PER_TURN
 from trueangle_training.diagnosis.condensing import condense
 from trueangle_training.diagnosis.generic import generic_hypotheses
 from trueangle_training.effects import EFFECTS, joint_settings
 from trueangle_training.effects.conditions import Conditions, Integers, conditions_of
 from trueangle_training.effects.effect import Hypothesis, LibraryEffect, Nature
+from trueangle_training.effects.patterns import distinct_places
 
 Floats = NDArray[np.float64]
 
@@ -24,6 +25,11 @@ STEADY_C = 0.5
 
 LARGEST_OWN_NOISE = 6.0
 """Median deviations, four standard deviations of normal noise."""
+
+ANGLES_OF_A_PLACE = 1.1
+"""At most, on average: with more of them the indicated angle scatters about its place."""
+READINGS_OF_AN_ANGLE = 2.0
+"""At least, on average: with fewer nothing tells whether the joint comes back to the same angle."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -137,8 +143,11 @@ def _without_own_noise(
     """The conditions with each reading's own scatter taken off its angle.
 
     The indicated angle holds the noise of the reading, and a column of many thousand periods a turn follows it:
-    with 16,384 lines 0.6 arcsec are 0.05 rad of the phase. Such a column would explain the noise by itself.
+    with 16,384 lines 0.6 arcsec are 0.05 rad of the phase. Such a column would explain the noise by itself. So it
+    would where the noise is taken off an angle that does not hold it: set points of the encoder stay as they are.
     """
+    if _at_set_points(conditions):
+        return conditions
     _, group = np.unique(conditions.zero_group, return_inverse=True)
     count = np.bincount(group)
     table = np.column_stack([error_arcsec, drift, modelled])
@@ -149,6 +158,14 @@ def _without_own_noise(
     # A wild reading says nothing of its angle.
     limit = LARGEST_OWN_NOISE * float(np.median(np.abs(scatter)))
     return replace(conditions, angle_deg=conditions.angle_deg - np.clip(scatter, -limit, limit) / ARCSEC_PER_DEG)
+
+
+def _at_set_points(conditions: Conditions) -> bool:
+    """Whether the indicated angle comes back to the same count again and again: the scatter is the reference's."""
+    counts = np.rint(conditions.angle_deg * conditions.counts_per_rev / DEG_PER_TURN).astype(np.int64)
+    angles = np.unique(counts % conditions.counts_per_rev).size
+    places = distinct_places(conditions.angle_deg).size
+    return angles <= ANGLES_OF_A_PLACE * places and counts.size >= READINGS_OF_AN_ANGLE * angles
 
 
 def _enough_readings(main: Floats, zero_group: Integers) -> bool:
