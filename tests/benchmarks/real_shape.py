@@ -30,11 +30,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from tests.benchmarks import real_shape_campaigns as shapes
-from tests.benchmarks.diagnosis_check.intervals import exact_binomial
 from tests.benchmarks.real_shape_campaigns import Layout, Shape, Table
 
 from trueangle.contract.calibration import Campaign, read_campaign
 from trueangle.contract.joint import Joint
+from trueangle_training.blind_check.intervals import exact_binomial
 from trueangle_training.diagnosis.design_check import CARRIED
 from trueangle_training.diagnosis.diagnose import Prepared, diagnose, prepare
 from trueangle_training.diagnosis.findings import Conclusion, Findings
