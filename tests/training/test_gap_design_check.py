@@ -110,6 +110,16 @@ def test_what_would_stay_hidden_all_the_same_is_said(one_way: tuple[Problem, Des
     assert all(name in hidden for name in left)
 
 
+def test_without_temperatures_only_a_second_temperature_shows_what_heat_does() -> None:
+    made = replace(gap_campaigns.campaign(3, temperatures_c=(20.0,), repeats=4), temperature_c=None, load_nm=None)
+    problem = gap_campaigns.problem(made, shapes=True)
+    found = next_measurement(problem, design_check(problem.without_errors()))
+    of_heat = {"thermal_tilt", "thermal_graduation", "thermal_nonlinearity"}
+    shown = {each.name: of_heat & set(each.shows) for each in found.candidates}
+    assert shown.pop("another temperature") == of_heat
+    assert not any(shown.values())
+
+
 def test_what_no_measurement_would_show_asks_for_none(one_way: tuple[Problem, Design]) -> None:
     problem, design = one_way
     blind = replace(design, invisible=("temperature_sensor_error",), not_testable=())

@@ -57,7 +57,8 @@ def joined(plan: Conditions, further: Conditions) -> Conditions:
         first, second = getattr(plan, name), getattr(further, name)
         if first is None and second is None:
             continue
-        rest = _AT_REST.get(name, 0.0)
+        # A plan without temperatures was carried out at one: further readings at the same show nothing of heat.
+        rest = plan.base_temperature_c if name == "temperature_c" else _AT_REST.get(name, 0.0)
         first = np.full(len(plan), rest) if first is None else first
         second = (
             np.full(len(further), first[-1] if name == "temperature_c" else rest) if second is None else second
