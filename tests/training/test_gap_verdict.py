@@ -153,6 +153,24 @@ def test_noise_that_grows_with_temperature_is_found_and_steady_noise_is_not() ->
     assert not any(each and each[0].significant for each in steady)
 
 
+def test_scatter_that_the_library_has_no_name_for_is_unknown_in_its_cell() -> None:
+    """An effect that is withheld must not pass for none."""
+    loud = _louder(_problem(46), 3.0)
+    nameless = _verdict(replace(loud, library={k: v for k, v in EFFECTS.items() if k != "noise_growth"}))
+    assert nameless.kind is VerdictKind.UNKNOWN
+    assert nameless.causes == ()
+    assert nameless.unexplained.cells == (Cell(order="0", temperature="linear", moment="variance"),)
+    problem = _problem(47)
+    counts = problem.conditions.counts_per_rev
+    coarse = np.rint(problem.conditions.angle_deg * counts / 360 / 8) * 8 * 360 / counts
+    rounded = replace(problem, conditions=replace(problem.conditions, angle_deg=coarse))
+    assert "quantisation" in {cause.effect for cause in _verdict(rounded).named}
+    library = {k: v for k, v in EFFECTS.items() if k != "quantisation"}
+    withheld = _verdict(replace(rounded, library=library))
+    assert withheld.kind is VerdictKind.UNKNOWN
+    assert Cell(order="0", moment="variance") in withheld.unexplained.cells
+
+
 def test_one_run_that_scatters_beyond_all_others_is_unknown() -> None:
     problem = _problem(59)
     odd = problem.conditions.run == 9

@@ -275,9 +275,10 @@ def _gap(shares: Shares | None, closure: Closure) -> Gap:
 
 def _with_scatter(places: tuple[Place, ...], answer: which.Verdict) -> tuple[Place, ...]:
     """Where nothing but scatter is named, its cell comes first; it has all of it if nothing else was found."""
-    if answer.unexplained.cells == (which.LOUD_CELL,):
-        loud = Place(cell=which.LOUD_CELL, share=0.0, p_value=None, significant=True, runs_needed=None)
-        return (loud, *(place for place in places if place.cell != loud.cell))
+    nameless = answer.unexplained.cells
+    if nameless and all(cell.moment == "variance" for cell in nameless) and not answer.named:
+        first = [Place(cell=cell, share=0.0, p_value=None, significant=True) for cell in nameless]
+        return (*first, *(place for place in places if place.cell not in nameless))
     if not answer.named or any(cause.nature is not Nature.VARIANCE for cause in answer.named):
         return places
     cells = {cell for cause in answer.named for cell in EFFECTS[cause.effect].cells}

@@ -38,6 +38,14 @@ BESIDE_ROUNDING = 0.5
 """Highest probability of a cause whose curve is no larger than that of a resolution found too coarse."""
 LOUD_CELL = Cell(order="0", time="between_runs", moment="variance")
 """Of a run that scatters beyond all others, in no pattern that the library or a generic one has."""
+GROWTH_CELLS = {
+    "temperature_c": Cell(order="0", temperature="linear", moment="variance"),
+    "speed_deg_s": Cell(order="0", speed="linear", moment="variance"),
+    "load_nm": Cell(order="0", load="linear", moment="variance"),
+}
+"""Of noise that grows, by its condition, where the library has no name for it."""
+LATTICE_CELL = Cell(order="0", moment="variance")
+"""Of a resolution coarser than stated, the same."""
 WIDE = 10
 """Columns of a pattern."""
 WEAK_GENERIC = 20.0
@@ -110,20 +118,31 @@ def verdict_of(problem: Problem, attribution: Attribution, design: Design) -> Ve
     """Judge an attribution."""
     causes = [_cause(problem, attribution, design, name) for name in _effects(attribution)]
     generic = [member for member in attribution.members if member.effect is None]
-    growth = _growth(problem, attribution)
+    # What the simulator models of the scatter is not looked for again.
+    growth = None if "noise_growth" in problem.joint.effects else _growth(problem, attribution)
+    ratio = None if "quantisation" in problem.joint.effects else coarser_ratio(problem.conditions)
+    nameless: list[Cell] = []
     if growth is not None:
-        causes.append(growth)
         if len(attribution.members) == 1 and generic and generic[0].log_evidence < WEAK_GENERIC:
             generic = []
-    lattice = _lattice(problem)
-    if lattice is not None:
+        if "noise_growth" in problem.library:
+            causes.append(_growth_cause(growth))
+        else:
+            nameless.append(GROWTH_CELLS[growth.condition])
+    if ratio is not None:
+        lattice = _lattice_cause(problem, ratio)
         rounded = lattice.parameters["step_arcsec"].value / np.sqrt(12.0)
         causes = [_doubted(problem, attribution, design, cause, rounded) for cause in causes]
-        causes.append(lattice)
+        if "quantisation" in problem.library:
+            causes.append(lattice)
+        else:
+            nameless.append(LATTICE_CELL)
     causes.sort(key=lambda cause: -cause.class_probability)
     unexplained = _unexplained(problem, attribution, design, generic)
     if growth is None and not unexplained.significant and loud_run(problem, attribution.noise) is not None:
-        unexplained = replace(unexplained, significant=True, cells=(LOUD_CELL,))
+        nameless.append(LOUD_CELL)
+    if nameless:
+        unexplained = replace(unexplained, significant=True, cells=(*unexplained.cells, *nameless))
     if any(cause.class_probability >= NAMED_FROM for cause in causes):
         kind = VerdictKind.NAMED
     elif causes or unexplained.significant:
@@ -246,9 +265,7 @@ def _may_be_a_sum(problem: Problem, design: Design, members: Sequence[Member]) -
     return widest >= WIDE and len(contained) > 1
 
 
-def _growth(problem: Problem, attribution: Attribution) -> Cause | None:
-    if "noise_growth" not in problem.library:
-        return None
+def _growth(problem: Problem, attribution: Attribution) -> Growth | None:
     tested = noise_growth(problem, attribution.noise, attribution.explained(problem))
     if not tested or not tested[0].significant:
         return None
@@ -258,6 +275,10 @@ def _growth(problem: Problem, attribution: Attribution) -> Cause | None:
     if any(member.effect is None and member.log_evidence >= WEAK_GENERIC for member in attribution.members):
         # What no effect explains is not known well enough to tell noise from what it leaves over.
         return None
+    return best
+
+
+def _growth_cause(best: Growth) -> Cause:
     # Two or three conditions were tried; a ratio near 1.15 is at the edge of what exchanging runs can tell.
     probability = float(np.clip(1.0 - 40.0 * best.p_value, 0.5, 0.97))
     return Cause(
@@ -274,13 +295,8 @@ def _growth(problem: Problem, attribution: Attribution) -> Cause | None:
     )
 
 
-def _lattice(problem: Problem) -> Cause | None:
+def _lattice_cause(problem: Problem, ratio: int) -> Cause:
     """A resolution that is coarser than stated: arithmetic, not statistics."""
-    if "quantisation" not in problem.library:
-        return None
-    ratio = coarser_ratio(problem.conditions)
-    if ratio is None:
-        return None
     step_arcsec = ratio * DEG_PER_TURN * ARCSEC_PER_DEG / problem.conditions.counts_per_rev
     return Cause(
         effect="quantisation",
