@@ -57,6 +57,9 @@ def test_another_place_that_the_plan_does_not_rule_out_is_told() -> None:
     assert any(words in each for each in wording.summary_lines(findings))
     assert words in " ".join(made_page(findings).split())
     assert not wording.elsewhere_words(replace(NAMED, where=PLACES))
+    # At nine tenths of the largest share the rest speaks against it.
+    worse = replace(PLACES[2], could_carry=0.93 * PLACES[0].share)
+    assert not wording.elsewhere_words(replace(NAMED, where=(PLACES[0], worse)))
 
 
 def test_the_terminal_hears_the_notes() -> None:

@@ -287,8 +287,8 @@ def _with_scatter(places: tuple[Place, ...], answer: which.Verdict) -> tuple[Pla
     chosen = (significant or there or [_place_of(answer.named[0].effect)])[0]
     others = (place for place in places if place.cell != chosen.cell)
     if len(answer.named) < len(answer.causes) or answer.unexplained.significant:
-        # What was found besides has no name, and may be the scatter.
-        return (replace(chosen, share=0.0, could_carry=1.0, significant=True), *others)
+        # What was found besides has no name, and keeps its places behind.
+        return (replace(chosen, share=0.0, significant=True), *others)
     first = replace(chosen, share=1.0, significant=True)
     return (first, *(replace(place, share=0.0, could_carry=0.0) for place in others))
 

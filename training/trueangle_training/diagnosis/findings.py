@@ -94,7 +94,7 @@ class Place:
     runs_needed: int | None = None
     """Where `p_value` is None: how many runs would test it."""
     could_carry: float = 0.0
-    """Of the structural part, 0..1, what may lie here as well as in the cell that has its share."""
+    """Of the structural part, 0..1, what this cell could carry in place of the cell that has its share."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -30,8 +30,8 @@ BY_EVIDENCE_ONLY = " (by the evidence; the signs of whole runs alone do not show
 TIMES = " \N{MULTIPLICATION SIGN} "
 SMALLEST_PLACE = 0.01
 """Share below which a significant place is left to the map."""
-AS_MUCH = 0.9
-"""Of the largest share: another cell that could carry so much is told."""
+AS_MUCH = 0.95
+"""Of the largest share: another cell that could carry so much is told, as a class holds what carries so much."""
 
 
 def effect_words(name: str) -> str:
