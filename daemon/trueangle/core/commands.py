@@ -13,6 +13,7 @@ from typing import Protocol
 
 from trueangle.contract.units import MILLIARCSEC_PER_TURN
 from trueangle.core.presets import Preset, PresetBinding
+from trueangle.core.register_fields import SLOTS
 
 ARMED_NS = 5_000_000_000
 """A preset that is not confirmed within this time is forgotten."""
@@ -108,7 +109,7 @@ class JointSituation:
     valid: bool
     """The corrected angle is served as good now."""
     model_deg: float | None
-    """Corrected angle before the user's zero is added; None: none is valid."""
+    """Corrected angle before the user's zero is taken off; None: none is valid."""
     velocity_deg_s: float | None
     """None: not known, which is no standstill."""
     binding: PresetBinding | None
@@ -123,7 +124,7 @@ class CommandTarget(Protocol):
         ...
 
     def set_user_zero(self, slot: int, user_zero_mas: int | None) -> None:
-        """Add this to every corrected angle from now on, 0..1295999999; 0: no preset.
+        """Take this off every corrected angle from now on, 0..1295999999; 0: no preset.
 
         None: a preset is stored that belongs to another encoder or model, so nobody knows what the user's angle
         is; the joint must not be served as valid (NOT_REFERENCED).
@@ -192,9 +193,7 @@ class CommandDesk:
         self._presets = {preset.slot: preset for preset in presets}
         self._armed: dict[int, CommandSession] = {}
         self._saving = False
-        for slot in self._presets:
-            if target.situation(slot) is not None:
-                target.set_user_zero(slot, None)
+        self.restore()
 
     @property
     def presets(self) -> Mapping[int, Preset]:
@@ -222,6 +221,17 @@ class CommandDesk:
     def has_joint(self, slot: int) -> bool:
         """Whether a joint is configured in this slot."""
         return self._target.situation(slot) is not None
+
+    def restore(self) -> None:
+        """The joints were arranged anew: what is in force for each follows from its encoder and model again."""
+        for slot in range(1, SLOTS + 1):
+            situation = self._target.situation(slot)
+            if situation is None:
+                continue
+            if situation.binding is not None:
+                self.identified(slot, situation.binding)
+            elif slot in self._presets:
+                self._target.set_user_zero(slot, None)
 
     def session(self, peer: Peer) -> "CommandSession":
         """The commands of one connection."""
@@ -307,7 +317,7 @@ class CommandDesk:
         moved_deg = (situation.model_deg - armed.model_deg + 180.0) % 360.0 - 180.0
         if not abs(moved_deg) <= STANDSTILL_DEG:
             return Result.MOVING
-        user_zero_mas = (angle_mas - round(situation.model_deg * _MAS_PER_DEG)) % MILLIARCSEC_PER_TURN
+        user_zero_mas = (round(situation.model_deg * _MAS_PER_DEG) - angle_mas) % MILLIARCSEC_PER_TURN
         return self._save(session, slot, Preset(slot=slot, user_zero_mas=user_zero_mas, binding=situation.binding))
 
     def _save(self, session: "CommandSession", slot: int, preset: Preset | None) -> Result:

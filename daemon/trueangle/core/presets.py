@@ -38,7 +38,7 @@ class Preset:
 
     slot: Annotated[int, Range(minimum=1, maximum=32)]
     user_zero_mas: Annotated[int, Range(minimum=0, maximum=MILLIARCSEC_PER_TURN - 1)]
-    """Added to the corrected angle, after the model."""
+    """Taken off the corrected angle, after the model."""
     binding: PresetBinding
 
 
