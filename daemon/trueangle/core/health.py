@@ -51,11 +51,13 @@ class ServiceBit(enum.IntFlag):
 
     ALL_VALID = 1 << 0
     BUS_DOWN = 1 << 1
+    RELOAD_REFUSED = 1 << 5
 
 
 SERVICE_MEANING: dict[ServiceBit, str] = {
     ServiceBit.ALL_VALID: "every configured joint is valid",
     ServiceBit.BUS_DOWN: "at least one CAN bus is not open",
+    ServiceBit.RELOAD_REFUSED: "the last reload was refused: configuration and models of before are in force",
 }
 
 

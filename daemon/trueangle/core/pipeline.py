@@ -7,7 +7,7 @@ is seen, from its arrival. Nothing here waits, sleeps or raises for a bad joint:
 word, the others go on.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 from trueangle.core.correction import Correction, CorrectionModel, correct_one
@@ -89,6 +89,10 @@ class Pipeline:
         self._awaited: set[int] = set()
         self.counters = PipelineCounters()
         self.last_image_ns: int | None = None
+        self.service_bits = ServiceBit(0)
+        """What the service itself has to tell, served with the next image."""
+        self.states: Mapping[int, JointState] = {}
+        """Each slot as last served."""
 
     def process_data(self, bus: str) -> frozenset[int]:
         """The COB-IDs on this bus that are the pipeline's; every other frame is the master's."""
@@ -185,11 +189,12 @@ class Pipeline:
             service |= ServiceBit.BUS_DOWN
         self.counters.images += 1
         self.last_image_ns = now_ns
+        self.states = states
         self._publish(
             self._registers.image(
                 cycle=self.counters.images & 0xFFFFFFFF,
                 heartbeat=self.counters.cycles & 0xFFFF,
-                service_status=int(service),
+                service_status=int(service | self.service_bits),
                 states=states,
             )
         )
@@ -235,3 +240,42 @@ class Pipeline:
     def statuses(self) -> Mapping[int, StatusBit]:
         """The status word of each slot as last served."""
         return {slot: joint.status for slot, joint in self._joints.items()}
+
+    def hand_on(self) -> "PipelineState":
+        """What the pipeline in this one's place goes on with; this one must not be called again."""
+        return PipelineState(
+            joints=self._joints,
+            syncs=self._syncs,
+            awaited=frozenset(self._awaited),
+            counters=self.counters,
+            last_image_ns=self.last_image_ns,
+            service_bits=self.service_bits,
+        )
+
+    def take_over(self, state: "PipelineState", *, buses: Mapping[str, bool], slots: Collection[int]) -> None:
+        """Go on where another ended: with the buses that stay open, each up or not, and the joints that stay.
+
+        Samples, corrections and the place in the cycle of a joint that stays are moved, not copied.
+        """
+        self.counters, self.last_image_ns = state.counters, state.last_image_ns
+        self.service_bits = state.service_bits
+        for bus in self._bus_up.keys() & buses.keys():
+            self._bus_up[bus] = buses[bus]
+            self._syncs[bus] = state.syncs.get(bus, self._syncs[bus])
+        for slot in slots:
+            self._joints[slot] = state.joints[slot]
+        self._awaited = set(state.awaited & set(slots))
+        for place, (joint, layout) in self._table.items():
+            self._table[place] = (self._joints[joint.channel.slot], layout)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PipelineState:
+    """All that a pipeline knows beside its configuration."""
+
+    joints: Mapping[int, _Joint]
+    syncs: Mapping[str, SyncHistory]
+    awaited: frozenset[int]
+    counters: PipelineCounters
+    last_image_ns: int | None
+    service_bits: ServiceBit

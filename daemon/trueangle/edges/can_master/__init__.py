@@ -6,7 +6,7 @@ because it was commanded, and its PdoMap.save() writes no mapping where an EDS d
 
 import asyncio
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from types import TracebackType
 from typing import Self
@@ -39,40 +39,57 @@ class CanMaster:
         accept: Callable[[int, EncoderSettings], list[str]],
         timing: MasterTiming | None = None,
     ) -> None:
-        timing = timing or MasterTiming()
+        self._bus, self._on_node, self._accept = bus, on_node, accept
+        self._timing = timing or MasterTiming()
         # canopen warns at each SDO time-out, twice a second while a node is away; the transition is logged here.
         logging.getLogger("canopen.sdo.client").setLevel(logging.CRITICAL)
-        self._threads = ThreadPoolExecutor(max(1, min(len(plans), MAX_SDO_THREADS)), "sdo")
-        self._network = SdoNetwork(bus)
-        self._nodes = [
-            NodeSupervisor(
-                plan,
-                SdoPort(plan.node_id, self._network, self._threads, timing),
-                bus,
-                on_node=on_node,
-                accept=accept,
-                timing=timing,
-            )
-            for plan in plans
-        ]
-        self._routes: Mapping[int, Callable[[bytes], None]] = {
-            cob_id: handler for node in self._nodes for cob_id, handler in node.routes().items()
-        }
+        self._threads = ThreadPoolExecutor(MAX_SDO_THREADS, "sdo")
+        self._bus_up: tuple[bool, str] = (False, "not open yet")
+        self._nodes = {plan.slot: self._supervisor(plan) for plan in plans}
+        self._routes: Mapping[int, Callable[[bytes], None]] = {}
+        self._lay_routes()
         self._tasks = asyncio.TaskGroup()
-        self._lives: list[asyncio.Task[None]] = []
+        self._lives: dict[int, asyncio.Task[None]] = {}
+
+    def _supervisor(self, plan: NodePlan) -> NodeSupervisor:
+        # A network of its own: the transfers of one node can be ended for good while those of the others go on.
+        sdo = SdoPort(plan.node_id, SdoNetwork(self._bus), self._threads, self._timing)
+        return NodeSupervisor(
+            plan, sdo, self._bus, on_node=self._on_node, accept=self._accept, timing=self._timing
+        )
+
+    def _lay_routes(self) -> None:
+        self._routes = {
+            cob_id: handler for node in self._nodes.values() for cob_id, handler in node.routes().items()
+        }
+
+    def rearrange(self, *, leaving: Collection[int], coming: Sequence[NodePlan]) -> None:
+        """End the lives of the slots that leave and begin those that come, between two frames; the others go on.
+
+        What a leaving node says is not heard any more when this returns, and nothing is reported of it.
+        """
+        for slot in leaving:
+            self._nodes.pop(slot).close()
+            self._lives.pop(slot).cancel()
+        for plan in coming:
+            node = self._nodes[plan.slot] = self._supervisor(plan)
+            up, reason = self._bus_up
+            if up:
+                node.on_bus_state(up, reason)
+            self._lives[plan.slot] = self._tasks.create_task(node.live())
+        self._lay_routes()
 
     async def __aenter__(self) -> Self:
         await self._tasks.__aenter__()
-        self._lives = [self._tasks.create_task(node.live()) for node in self._nodes]
+        self._lives = {slot: self._tasks.create_task(node.live()) for slot, node in self._nodes.items()}
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._network.closed = True
-        for node, life in zip(self._nodes, self._lives, strict=True):
-            node.interrupt_sdo()
-            life.cancel()
+        for slot, node in self._nodes.items():
+            node.close()
+            self._lives[slot].cancel()
         try:
             # The group needs to see its own cancellation of the body; the body's errors stay the body's.
             if isinstance(error, asyncio.CancelledError):
@@ -90,10 +107,11 @@ class CanMaster:
 
     def on_bus_state(self, up: bool, reason: str) -> None:
         """The bus came up or went down: every node on it is lost with it."""
-        for node in self._nodes:
+        self._bus_up = (up, reason)
+        for node in self._nodes.values():
             node.on_bus_state(up, reason)
 
     def distrust(self, reason: str) -> None:
         """Frames of this bus were missed, perhaps a boot-up message: every node is identified again."""
-        for node in self._nodes:
+        for node in self._nodes.values():
             node.distrust(reason)
