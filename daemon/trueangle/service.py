@@ -20,7 +20,7 @@ from trueangle.contract.encoder import EncoderSettings
 from trueangle.contract.errors import ContractError, Fault
 from trueangle.contract.metadata import Interval
 from trueangle.core.frames import POSITION_OBJECT, MappedObject, NodePlan, Quantity, TpdoPlan
-from trueangle.core.health import Limits, NodeCondition, StatusBit
+from trueangle.core.health import INFORMATION, Limits, NodeCondition, StatusBit
 from trueangle.core.node_setup import NodeReport, NodeState
 from trueangle.core.pipeline import Frame, JointChannel, Pipeline
 from trueangle.core.registers import JointIdentity, RegisterImage, RegisterMap
@@ -386,5 +386,5 @@ class Service:
 
 def reasons(status: StatusBit) -> str:
     """The bits that speak against a joint, as words."""
-    against = status & ~(StatusBit.VALID | StatusBit.CONFIGURED)
+    against = status & ~(StatusBit.VALID | StatusBit.CONFIGURED | INFORMATION)
     return ",".join(bit.name.lower() for bit in against if bit.name) or "none"

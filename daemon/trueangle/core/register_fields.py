@@ -83,7 +83,11 @@ FAST_SLOT = (
         "sequence", _T.UINT16, "number of the sample; 65535 is a number too unless raw is missing as well"
     ),
     RegisterField(
-        "corrected", _T.INT32, "corrected angle, 0 to 1295999999; missing unless VALID", "arcsec", "0.001"
+        "corrected",
+        _T.INT32,
+        "corrected angle, 0 to 1295999999; missing unless VALID, HELD or RAW_SERVED",
+        "arcsec",
+        "0.001",
     ),
     RegisterField("raw", _T.INT32, "angle as the encoder reads it, 0 to 1295999999", "arcsec", "0.001"),
     RegisterField("correction", _T.INT32, "corrected minus raw", "arcsec", "0.001"),
@@ -110,7 +114,11 @@ DETAIL_LIVE = (
     ),
     RegisterField("node_id", _T.UINT16, "CANopen node-id", may_be_missing=False),
     RegisterField(
-        "corrected", _T.INT32, "corrected angle, 0 to 1295999999; missing unless VALID", "arcsec", "0.001"
+        "corrected",
+        _T.INT32,
+        "corrected angle, 0 to 1295999999; missing unless VALID, HELD or RAW_SERVED",
+        "arcsec",
+        "0.001",
     ),
     RegisterField("corrected_float64", _T.FLOAT64, "the same angle, in [0, 360)", "deg"),
     RegisterField(
