@@ -120,3 +120,33 @@ class HeartbeatWatch:
         if len(self._stamps_ns) <= HEARTBEATS:
             return False
         return stamp_ns - self._stamps_ns[0] < HEARTBEAT_SHARE * HEARTBEATS * self._period_ns
+
+
+class ClashLatch:
+    """Holds a clash until the node was in service, looked at and without evidence for `LATCH_NS`.
+
+    Out of service no frame is looked at, so that time does not count.
+    """
+
+    __slots__ = ("_since_ns", "active")
+
+    def __init__(self) -> None:
+        self.active = False
+        self._since_ns: int | None = None
+
+    def on_evidence(self, now_ns: int) -> bool:
+        """True where it is the first: the clash begins."""
+        began, self.active = not self.active, True
+        self._since_ns = now_ns
+        return began
+
+    def on_service(self, now_ns: int | None) -> None:
+        """The node came into service, or (None) left it."""
+        self._since_ns = now_ns
+
+    def ends(self, now_ns: int) -> bool:
+        """True once, when it is over."""
+        if not self.active or self._since_ns is None or now_ns - self._since_ns < LATCH_NS:
+            return False
+        self.active = False
+        return True

@@ -10,18 +10,21 @@ word, the others go on.
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
+from trueangle.core.clash import ClashLatch
 from trueangle.core.correction import Correction, CorrectionModel, correct_one
-from trueangle.core.frames import FrameLayout, NodePlan, frame_layouts
+from trueangle.core.frames import FrameLayout, NodePlan, Quantity, frame_layouts
 from trueangle.core.health import Evidence, Limits, NodeCondition, ServiceBit, StatusBit, judge
 from trueangle.core.registers import JointState, RegisterImage, RegisterMap
 from trueangle.core.sample import JointSample, SampleScale
+from trueangle.core.sensor_nodes import IN_SERVICE, SensorNodes
 from trueangle.core.sync_time import SyncHistory
 
 Frame = tuple[int, bytes, int]
 """COB-ID, data, monotonic reception time in ns."""
 
 SYNC_COB_ID = 0x080
-_IN_SERVICE = (NodeCondition.RUNNING, NodeCondition.DIFFERS)
+_NO_SYNC = SyncHistory()
+"""For nodes that send by themselves: their samples have the time of their arrival."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,16 +37,22 @@ class JointChannel:
     scale: SampleScale
     limits: Limits
     model: CorrectionModel
+    temperature_node: int | None = None
+    """The node on the same bus whose sensor it is; None: the encoder's own."""
+    temperature_has_status: bool = False
+    """The sensor tells a status: until it did, its temperature counts for nothing."""
 
 
 class _Joint:
     """One joint at run time."""
 
-    __slots__ = ("channel", "condition", "correction", "due", "fresh", "sample", "status")
+    __slots__ = ("channel", "clash", "condition", "correction", "due", "fresh", "sample", "status", "synchronous")
 
     def __init__(self, channel: JointChannel) -> None:
         self.channel = channel
         self.sample = JointSample(channel.scale)
+        self.synchronous = channel.scale.synchronous
+        self.clash = ClashLatch()
         self.condition = NodeCondition.NOT_READY
         self.correction: Correction | None = None
         self.due = False
@@ -75,7 +84,14 @@ class Pipeline:
         *,
         publish: Callable[[RegisterImage], None],
         on_status: Callable[[int, StatusBit, StatusBit], None],
+        sensors: Iterable[tuple[str, NodePlan]] = (),
+        on_clash: Callable[[int, str], None] | None = None,
     ) -> None:
+        """`sensors`: nodes that send temperatures of other joints too, each with its bus.
+
+        `on_clash(slot, reason)` asks for the joint's node to be identified anew: two nodes send its positions, or
+        have just ceased to.
+        """
         self._joints = {channel.slot: _Joint(channel) for channel in channels}
         self._registers = registers
         self._publish = publish
@@ -83,7 +99,18 @@ class Pipeline:
         self._table: dict[tuple[str, int], tuple[_Joint, FrameLayout]] = {}
         for joint in self._joints.values():
             for cob_id, layout in frame_layouts(joint.channel.plan).items():
-                self._table[joint.channel.bus, cob_id] = (joint, layout)
+                if layout.slot is not None:
+                    self._table[joint.channel.bus, cob_id] = (joint, layout)
+        self._on_clash = on_clash or (lambda _slot, _reason: None)
+        self._sensors = SensorNodes(
+            {slot: joint.sample for slot, joint in self._joints.items()},
+            [
+                (j.channel.bus, j.channel.temperature_node or j.channel.plan.node_id, slot)
+                for slot, j in self._joints.items()
+            ],
+        )
+        for bus, plan in sensors:
+            self._sensors.add(bus, plan)
         self._bus_up = {joint.channel.bus: False for joint in self._joints.values()}
         self._syncs = {joint.channel.bus: SyncHistory() for joint in self._joints.values()}
         self._awaited: set[int] = set()
@@ -92,7 +119,8 @@ class Pipeline:
 
     def process_data(self, bus: str) -> frozenset[int]:
         """The COB-IDs on this bus that are the pipeline's; every other frame is the master's."""
-        return frozenset(cob_id for name, cob_id in self._table if name == bus) | {SYNC_COB_ID}
+        own = frozenset(cob_id for name, cob_id in self._table if name == bus)
+        return own | self._sensors.cob_ids(bus) | {SYNC_COB_ID}
 
     def on_frames(self, bus: str, frames: Iterable[Frame], now_ns: int) -> None:
         """A batch of received frames, in order; those of other COB-IDs are passed over.
@@ -107,15 +135,19 @@ class Pipeline:
                 continue
             entry = self._table.get((bus, cob_id))
             if entry is None:
+                if not self._sensors.on_frame(bus, cob_id, data, stamp_ns):
+                    self.counters.misfit_frames += 1
                 continue
             joint, layout = entry
             if len(data) != layout.length:
                 self.counters.misfit_frames += 1
-            elif joint.condition not in _IN_SERVICE:
+            elif joint.condition not in IN_SERVICE:
                 self.counters.unready_frames += 1
-            elif joint.sample.take(layout, data, stamp_ns, self._syncs[bus]):
+            elif joint.sample.take(layout, data, stamp_ns, self._syncs[bus] if joint.synchronous else _NO_SYNC):
                 moved = joint.due = joint.fresh = True
                 self._awaited.discard(joint.channel.slot)
+            if joint.sample.two_senders:
+                self._on_two_senders(joint, now_ns)
         if moved and not self._awaited:
             self._end_cycle(now_ns)
 
@@ -125,9 +157,12 @@ class Pipeline:
             self._end_cycle(now_ns)
         if bus not in self._syncs:
             return
+        self._end_clashes(now_ns)
         self._syncs[bus].add(now_ns)
         for slot, joint in self._joints.items():
-            if joint.channel.bus == bus:
+            if joint.channel.bus == bus and joint.synchronous:
+                if joint.sample.watch.on_sync():
+                    self._on_two_senders(joint, now_ns)
                 if joint.fresh:
                     self._awaited.add(slot)
                 else:
@@ -143,17 +178,44 @@ class Pipeline:
     def on_node(self, slot: int, condition: NodeCondition, now_ns: int) -> None:
         """The node's life cycle moved on; a node out of service takes its samples with it."""
         joint = self._joints[slot]
-        if condition not in _IN_SERVICE or joint.condition not in _IN_SERVICE:
+        if condition not in IN_SERVICE or joint.condition not in IN_SERVICE:
             joint.sample.forget()
             joint.correction = None
             joint.due = joint.fresh = False
             self._awaited.discard(slot)
+            joint.clash.on_service(now_ns if condition in IN_SERVICE else None)
         joint.condition = condition
+        self._sensors.on_node(joint.channel.bus, joint.channel.plan.node_id, condition)
         self._serve(now_ns)
+
+    def on_sensor(self, bus: str, node_id: int, condition: NodeCondition, now_ns: int) -> None:
+        """The life cycle of a node without an encoder moved on."""
+        self._sensors.on_node(bus, node_id, condition)
+        self._serve(now_ns)
+
+    def on_value(self, slot: int, quantity: Quantity, value: int, stamp_ns: int) -> None:
+        """A value of this joint was read by SDO; it is served with the next image."""
+        self._joints[slot].sample.take_value(quantity, value, stamp_ns)
+
+    def on_alive(self, bus: str, node_id: int, stamp_ns: int) -> None:
+        """A node in service proved that it lives."""
+        self._sensors.on_alive(bus, node_id, stamp_ns)
 
     def tick(self, now_ns: int) -> None:
         """Renew ages and marks although no cycle ended."""
+        self._end_clashes(now_ns)
         self._serve(now_ns)
+
+    def _on_two_senders(self, joint: _Joint, now_ns: int) -> None:
+        joint.sample.two_senders = False
+        if joint.clash.on_evidence(now_ns):
+            self._on_clash(joint.channel.slot, "two nodes send its positions")
+
+    def _end_clashes(self, now_ns: int) -> None:
+        """Which of the two nodes is left is known only when it was identified again."""
+        for slot, joint in self._joints.items():
+            if joint.clash.active and joint.clash.ends(now_ns):
+                self._on_clash(slot, "two nodes sent its positions, one is left")
 
     def _end_cycle(self, now_ns: int) -> None:
         self._awaited.clear()
@@ -197,18 +259,22 @@ class Pipeline:
     def _state(self, joint: _Joint, now_ns: int) -> JointState:
         sample, correction = joint.sample, joint.correction
         age_ms = None if sample.stamp_ns is None else max(0.0, (now_ns - sample.stamp_ns) * 1e-6)
-        stamp_ns = sample.temperature_stamp_ns
+        channel = joint.channel
+        told = sample.temperature_status is not None or not channel.temperature_has_status
+        stamp_ns = sample.temperature_stamp_ns if told else None
         status = judge(
             Evidence(
-                bus_up=self._bus_up[joint.channel.bus],
-                node=joint.condition,
+                bus_up=self._bus_up[channel.bus],
+                node=NodeCondition.ID_CLASH if joint.clash.active else joint.condition,
                 age_ms=age_ms,
                 raw_deg=sample.raw_deg,
                 temperature_c=sample.temperature_c,
                 temperature_age_s=None if stamp_ns is None else max(0.0, (now_ns - stamp_ns) * 1e-9),
                 correction_arcsec=None if correction is None else correction.correction_arcsec,
+                temperature_fault=bool(sample.temperature_status),
+                sync_lost=joint.synchronous and self._sync_lost(channel, age_ms, now_ns),
             ),
-            joint.channel.limits,
+            channel.limits,
         )
         if StatusBit.VALID not in status:
             correction = None
@@ -230,6 +296,14 @@ class Pipeline:
             frames_received=sample.frames_received & 0xFFFFFFFF,
             frames_lost=sample.frames_lost & 0xFFFFFFFF,
         )
+
+    def _sync_lost(self, channel: JointChannel, age_ms: float | None, now_ns: int) -> bool:
+        """SYNC has stopped, or never came and no position either."""
+        stale_ms = channel.limits.stale_ms
+        last_ns = self._syncs[channel.bus].last_ns
+        if last_ns is None:
+            return self._bus_up[channel.bus] and (age_ms is None or age_ms > stale_ms)
+        return (now_ns - last_ns) * 1e-6 > stale_ms
 
     @property
     def statuses(self) -> Mapping[int, StatusBit]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from trueangle.contract.encoder import counts_to_deg
 from trueangle.contract.units import DEG_PER_TURN
+from trueangle.core.clash import SenderWatch
 from trueangle.core.frames import FrameLayout, Quantity
 from trueangle.core.sync_time import SampleTime, SyncHistory
 
@@ -21,6 +22,12 @@ class SampleScale:
     offset_c: float
     sequence_modulus: int | None
     """2^bits of the sequence object; None where the node has none."""
+    temperature_by_change: bool = False
+    """The sensor sends only when the temperature changes: its node's life says that the last value holds."""
+    synchronous: bool = True
+    """The node sends one position a SYNC; else by itself."""
+    position_period_ms: float | None = None
+    """Of a node that sends by its timer; None: whenever the position changes."""
 
 
 class JointSample:
@@ -40,7 +47,10 @@ class JointSample:
         "stamp_ns",
         "temperature_c",
         "temperature_stamp_ns",
+        "temperature_status",
+        "two_senders",
         "velocity_deg_s",
+        "watch",
     )
 
     def __init__(self, scale: SampleScale) -> None:
@@ -48,10 +58,16 @@ class JointSample:
         self.frames_received = 0
         self.frames_lost = 0
         self.frames_repeated = 0
+        self.watch = SenderWatch(
+            scale.counts_per_rev, synchronous=scale.synchronous, period_ms=scale.position_period_ms
+        )
+        self.two_senders = False
+        """A frame showed that two nodes send them; whoever acts on it takes it back."""
         self.forget()
+        self.forget_temperature()
 
     def forget(self) -> None:
-        """The node left service: nothing that it said before counts any more. Frame counters stay."""
+        """The encoder's node left service: no position that it told counts any more. Frame counters stay."""
         self.position_counts: int | None = None
         self.raw_deg: float | None = None
         self.stamp_ns: int | None = None
@@ -61,8 +77,27 @@ class JointSample:
         self._sample_number = 0
         self._sample_time = SampleTime()
         self.velocity_deg_s: float | None = None
+        self.watch.forget()
+
+    def forget_temperature(self) -> None:
+        """The sensor's node left service."""
         self.temperature_c: float | None = None
         self.temperature_stamp_ns: int | None = None
+        self.temperature_status: int | None = None
+        """What the sensor says of itself, 0 is good; None: not told."""
+
+    def take_value(self, quantity: Quantity, value: int, stamp_ns: int) -> None:
+        """A temperature, or its status, from a frame or by SDO."""
+        if quantity is Quantity.TEMPERATURE:
+            self.temperature_c = value * self.scale.degc_per_unit + self.scale.offset_c
+            self.temperature_stamp_ns = stamp_ns
+        elif quantity is Quantity.TEMPERATURE_STATUS:
+            self.temperature_status = value
+
+    def confirm_temperature(self, stamp_ns: int) -> None:
+        """The sensor's node lives at this time; what that says of the last value depends on how it sends."""
+        if self.scale.temperature_by_change and self.temperature_stamp_ns is not None:
+            self.temperature_stamp_ns = max(self.temperature_stamp_ns, stamp_ns)
 
     def take(self, layout: FrameLayout, data: bytes, received_ns: int, syncs: SyncHistory) -> bool:
         """Decode one frame of the right length; True when a new position came with it."""
@@ -74,8 +109,9 @@ class JointSample:
             elif quantity is Quantity.SEQUENCE:
                 sequence = value
             else:
-                self.temperature_c = value * self.scale.degc_per_unit + self.scale.offset_c
-                self.temperature_stamp_ns = received_ns
+                self.take_value(quantity, value, received_ns)
+        if position is not None and self.watch.on_position(position, received_ns):
+            self.two_senders = True
         if position is None or not self._is_new(sequence):
             return False
         self._move_to(position, self._sample_time.stamp_ns(self._sample_number, syncs, received_ns))

@@ -49,6 +49,7 @@ class CanMaster:
         logging.getLogger("canopen.sdo.client").setLevel(logging.CRITICAL)
         self._threads = ThreadPoolExecutor(max(1, min(len(plans), MAX_SDO_THREADS)), "sdo")
         self._network = SdoNetwork(bus)
+
         def listener(plan: NodePlan) -> NodeListener:
             slot, node_id = plan.slot, plan.node_id
 

@@ -117,7 +117,7 @@ class NodeSupervisor:
             await self._pause()
 
     async def _bring_up(self) -> None:
-        plan, steps = self._plan, self._steps
+        steps = self._steps
         self._report(NodeState.IDENTIFYING)
         self._sdo.begin()
         self._nmt(NMT_PRE_OPERATIONAL)
@@ -269,9 +269,7 @@ class NodeSupervisor:
             return
         now_ns = time.monotonic_ns()
         if self._heartbeats is not None and self._heartbeats.on_heartbeat(now_ns):
-            self._disturb(
-                NodeClash(f"heartbeats come twice as often as 0x1017 says: two nodes; {CLASH_ADVICE}")
-            )
+            self._disturb(NodeClash(f"heartbeats come twice as often as 0x1017 says: two nodes; {CLASH_ADVICE}"))
             return
         self._remote_state = state
         self._heartbeat_s = now_ns * 1e-9
