@@ -20,7 +20,7 @@ from trueangle.contract.encoder import EncoderSettings
 from trueangle.contract.errors import ContractError, Fault
 from trueangle.contract.metadata import Interval
 from trueangle.core.frames import Trigger
-from trueangle.core.health import INFORMATION, Limits, NodeCondition, StatusBit
+from trueangle.core.health import INFORMATION, Limits, NodeCondition, ServiceBit, StatusBit
 from trueangle.core.node_setup import NodeReport, NodeState
 from trueangle.core.pipeline import Frame, JointChannel, Pipeline
 from trueangle.core.registers import JointIdentity, RegisterImage, RegisterMap
@@ -272,6 +272,7 @@ class Service:
                 on_alive=lambda node_id, stamp_ns, name=name: self._pipeline.on_alive(name, node_id, stamp_ns),
             )
             self._buses[name] = bus
+            bus.listen_to(master.cob_ids | self._process_data[name])
             self._masters[name] = await stack.enter_async_context(master)
             await stack.enter_async_context(bus)
 
@@ -280,7 +281,10 @@ class Service:
             try:
                 await asyncio.wait_for(self._stop.wait(), TICK_S)
             except TimeoutError:
-                now_ns = time.monotonic_ns()
+                now_ns, bits = time.monotonic_ns(), ServiceBit(0)
+                for bus in self._buses.values():
+                    bits |= bus.service_bits(now_ns)
+                self._pipeline.service_bits = bits
                 last_ns = self._pipeline.last_image_ns
                 if last_ns is None or now_ns - last_ns >= TICK_S * 1e9:
                     self._pipeline.tick(now_ns)

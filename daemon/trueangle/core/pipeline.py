@@ -101,7 +101,7 @@ class Pipeline:
             for cob_id, layout in frame_layouts(joint.channel.plan).items():
                 if layout.slot is not None:
                     self._table[joint.channel.bus, cob_id] = (joint, layout)
-        self._on_clash = on_clash or (lambda _slot, _reason: None)
+        self._on_clash = on_clash
         self._sensors = SensorNodes(
             {slot: joint.sample for slot, joint in self._joints.items()},
             [
@@ -116,6 +116,8 @@ class Pipeline:
         self._awaited: set[int] = set()
         self.counters = PipelineCounters()
         self.last_image_ns: int | None = None
+        self.service_bits = ServiceBit(0)
+        """What the service itself has to tell, served with the next image."""
 
     def process_data(self, bus: str) -> frozenset[int]:
         """The COB-IDs on this bus that are the pipeline's; every other frame is the master's."""
@@ -209,13 +211,17 @@ class Pipeline:
     def _on_two_senders(self, joint: _Joint, now_ns: int) -> None:
         joint.sample.two_senders = False
         if joint.clash.on_evidence(now_ns):
-            self._on_clash(joint.channel.slot, "two nodes send its positions")
+            self._ask_again(joint.channel.slot, "two nodes send its positions")
 
     def _end_clashes(self, now_ns: int) -> None:
         """Which of the two nodes is left is known only when it was identified again."""
         for slot, joint in self._joints.items():
             if joint.clash.active and joint.clash.ends(now_ns):
-                self._on_clash(slot, "two nodes sent its positions, one is left")
+                self._ask_again(slot, "two nodes sent its positions, one is left")
+
+    def _ask_again(self, slot: int, reason: str) -> None:
+        if self._on_clash is not None:
+            self._on_clash(slot, reason)
 
     def _end_cycle(self, now_ns: int) -> None:
         self._awaited.clear()
@@ -251,7 +257,7 @@ class Pipeline:
             self._registers.image(
                 cycle=self.counters.images & 0xFFFFFFFF,
                 heartbeat=self.counters.cycles & 0xFFFF,
-                service_status=int(service),
+                service_status=int(service | self.service_bits),
                 states=states,
             )
         )

@@ -50,6 +50,10 @@ class CanMaster:
         self._threads = ThreadPoolExecutor(max(1, min(len(plans), MAX_SDO_THREADS)), "sdo")
         self._network = SdoNetwork(bus)
 
+        def tell_value(slot: int, quantity: Quantity, value: int, stamp_ns: int) -> None:
+            if on_value is not None:
+                on_value(slot, quantity, value, stamp_ns)
+
         def listener(plan: NodePlan) -> NodeListener:
             slot, node_id = plan.slot, plan.node_id
 
@@ -62,7 +66,7 @@ class CanMaster:
             return NodeListener(
                 on_report=on_report,
                 accept=lambda settings: [] if slot is None else accept(slot, settings),
-                on_value=on_value or (lambda *_: None),
+                on_value=tell_value,
                 on_alive=lambda stamp_ns: None if on_alive is None else on_alive(node_id, stamp_ns),
             )
 
