@@ -21,6 +21,8 @@ class Quantity(enum.Enum):
     SEQUENCE = "sequence"
     TEMPERATURE_STATUS = "temperature status"
     """What the sensor's electronics say of the temperature; 0 is good (CiA 404, 0x6150)."""
+    REFERENCE = "reference"
+    """Whether an encoder without an absolute zero has passed its reference."""
 
 
 class Trigger(enum.Enum):

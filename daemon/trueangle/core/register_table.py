@@ -144,7 +144,7 @@ def _rows(prefix: str, start: int, block: tuple[RegisterField, ...]) -> list[Reg
 _TYPE_NAMES = {
     RegisterType.BYTES8: "8 bytes",
     RegisterType.RESERVED_2: "reserved",
-    RegisterType.RESERVED_12: "reserved",
+    RegisterType.RESERVED_10: "reserved",
 }
 
 

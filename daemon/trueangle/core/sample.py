@@ -4,13 +4,13 @@ Rules of this file: only what arrived is kept; a repeated sequence number refres
 frame must grow old); a node that leaves service takes its samples with it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from trueangle.contract.encoder import counts_to_deg
-from trueangle.contract.units import DEG_PER_TURN
 from trueangle.core.clash import SenderWatch
 from trueangle.core.frames import FrameLayout, Quantity
+from trueangle.core.position import Mechanics, PositionTrack
 from trueangle.core.sync_time import SampleTime, SyncHistory
+from trueangle.core.temperature_watch import TemperatureLimits, TemperatureWatch
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,6 +28,8 @@ class SampleScale:
     """The node sends one position a SYNC; else by itself."""
     position_period_ms: float | None = None
     """Of a node that sends by its timer; None: whenever the position changes."""
+    mechanics: Mechanics = field(default_factory=Mechanics)
+    temperature: TemperatureLimits = field(default_factory=TemperatureLimits)
 
 
 class JointSample:
@@ -40,21 +42,21 @@ class JointSample:
         "frames_lost",
         "frames_received",
         "frames_repeated",
-        "position_counts",
-        "raw_deg",
+        "position",
         "scale",
         "sequence",
-        "stamp_ns",
         "temperature_c",
         "temperature_stamp_ns",
         "temperature_status",
+        "temperature_watch",
         "two_senders",
-        "velocity_deg_s",
         "watch",
     )
 
     def __init__(self, scale: SampleScale) -> None:
         self.scale = scale
+        self.position = PositionTrack(scale.counts_per_rev, scale.mechanics)
+        self.temperature_watch = TemperatureWatch(scale.temperature)
         self.frames_received = 0
         self.frames_lost = 0
         self.frames_repeated = 0
@@ -68,15 +70,12 @@ class JointSample:
 
     def forget(self) -> None:
         """The encoder's node left service: no position that it told counts any more. Frame counters stay."""
-        self.position_counts: int | None = None
-        self.raw_deg: float | None = None
-        self.stamp_ns: int | None = None
+        self.position.forget()
         self.sequence: int | None = None
         self._backwards: int | None = None
         """The last sequence number that went backwards."""
         self._sample_number = 0
         self._sample_time = SampleTime()
-        self.velocity_deg_s: float | None = None
         self.watch.forget()
 
     def forget_temperature(self) -> None:
@@ -85,14 +84,18 @@ class JointSample:
         self.temperature_stamp_ns: int | None = None
         self.temperature_status: int | None = None
         """What the sensor says of itself, 0 is good; None: not told."""
+        self.temperature_watch.forget()
 
     def take_value(self, quantity: Quantity, value: int, stamp_ns: int) -> None:
         """A temperature, or its status, from a frame or by SDO."""
         if quantity is Quantity.TEMPERATURE:
             self.temperature_c = value * self.scale.degc_per_unit + self.scale.offset_c
             self.temperature_stamp_ns = stamp_ns
+            self.temperature_watch.take(value, self.temperature_c, stamp_ns)
         elif quantity is Quantity.TEMPERATURE_STATUS:
             self.temperature_status = value
+        elif quantity is Quantity.REFERENCE and value & self.scale.mechanics.reference_mask:
+            self.position.set_referenced()
 
     def confirm_temperature(self, stamp_ns: int) -> None:
         """The sensor's node lives at this time; what that says of the last value depends on how it sends."""
@@ -114,7 +117,7 @@ class JointSample:
             self.two_senders = True
         if position is None or not self._is_new(sequence):
             return False
-        self._move_to(position, self._sample_time.stamp_ns(self._sample_number, syncs, received_ns))
+        self.position.move_to(position, self._sample_time.stamp_ns(self._sample_number, syncs, received_ns))
         return True
 
     def _is_new(self, sequence: int | None) -> bool:
@@ -139,18 +142,3 @@ class JointSample:
         self._sample_number += step
         self.frames_received += 1
         return True
-
-    def _move_to(self, position: int, stamp_ns: int) -> None:
-        per_rev = self.scale.counts_per_rev
-        if self.position_counts is not None and self.stamp_ns is not None and stamp_ns > self.stamp_ns:
-            moved = (position - self.position_counts + per_rev // 2) % per_rev - per_rev // 2
-            elapsed_s = (stamp_ns - self.stamp_ns) * 1e-9
-            self.velocity_deg_s = moved * DEG_PER_TURN / per_rev / elapsed_s
-        self.position_counts = position
-        self.raw_deg = counts_to_deg(position, per_rev)
-        self.stamp_ns = stamp_ns
-
-    @property
-    def turns(self) -> int | None:
-        """Whole turns in the position value."""
-        return None if self.position_counts is None else self.position_counts // self.scale.counts_per_rev
