@@ -6,23 +6,24 @@ were keeps its samples and its node.
 
 import logging
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 
 from trueangle.config import DaemonConfig
 from trueangle.contract.encoder import EncoderSettings
+from trueangle.core.carry_over import CarriedOver, NodeKey, carried_over
 from trueangle.core.frames import NodePlan
 from trueangle.core.health import NodeCondition, StatusBit
 from trueangle.core.node_setup import NodeReport, NodeState
 from trueangle.core.outage import LogLine, OutageLog, reason_words
 from trueangle.core.pipeline import Frame, Pipeline
 from trueangle.core.registers import RegisterImage, RegisterMap
+from trueangle.process_data import node_plans
 from trueangle.service.joints import (
     Loaded,
     LoadedJoint,
     encoder_differences,
     joint_channel,
     joint_identity,
-    node_plan,
 )
 
 SETTLE_S = 1.0
@@ -32,8 +33,9 @@ _CONDITIONS = {
     NodeState.RUNNING: NodeCondition.RUNNING,
     NodeState.REFUSED: NodeCondition.DIFFERS,
     NodeState.FAULT: NodeCondition.FAULT,
+    NodeState.CLASH: NodeCondition.ID_CLASH,
 }
-_DECIDED = (NodeState.RUNNING, NodeState.REFUSED, NodeState.FAULT, NodeState.LOST)
+_DECIDED = (NodeState.RUNNING, NodeState.REFUSED, NodeState.FAULT, NodeState.CLASH, NodeState.LOST)
 
 _log = logging.getLogger(__name__)
 
@@ -41,14 +43,25 @@ _log = logging.getLogger(__name__)
 class Arrangement:
     """The joints of one configuration; all methods on the loop's thread."""
 
-    def __init__(self, loaded: Loaded, *, publish: Callable[[RegisterImage], None]) -> None:
+    def __init__(
+        self,
+        loaded: Loaded,
+        *,
+        publish: Callable[[RegisterImage], None],
+        on_clash: Callable[[str, int, str], None],
+    ) -> None:
+        """`on_clash(bus, node_id, reason)` asks for a node to be identified anew."""
         self.config: DaemonConfig = loaded.config
         self.joints: Mapping[int, LoadedJoint] = {joint.config.slot: joint for joint in loaded.joints}
+        self._plans = {bus.name: node_plans(self.config.joints, bus.name) for bus in self.config.buses}
+        self._on_clash: Callable[[str, int, str], None] = on_clash
         self.pipeline = Pipeline(
             [joint_channel(joint) for joint in loaded.joints],
             RegisterMap([joint_identity(joint) for joint in loaded.joints]),
             publish=publish,
             on_status=self._on_status,
+            sensors=[(bus, plan) for bus, plans in self._plans.items() for plan in plans],
+            on_clash=self._clash,
         )
         now_ns = time.monotonic_ns()
         self.outages = {slot: OutageLog(slot, joint.config.name, now_ns) for slot, joint in self.joints.items()}
@@ -58,34 +71,40 @@ class Arrangement:
         """Since when each node is in its state, monotonic."""
         self.buses_down: dict[str, str] = {}
 
-    def take_over(self, previous: "Arrangement", buses: Mapping[str, bool]) -> frozenset[int]:
-        """Go on where `previous` ends; gives the slots of the joints that go on as if nothing had happened.
+    def take_over(self, previous: "Arrangement", buses: Mapping[str, bool]) -> CarriedOver:
+        """Go on where `previous` ends; gives what goes on as if nothing had happened.
 
         `buses`: those that stay open, each up or not. `previous` must not be used again.
         """
-        kept = frozenset(
+        unchanged = {
             slot
             for slot, joint in self.joints.items()
             if joint.config.bus in buses
             and slot in previous.joints
             and joint.config == previous.joints[slot].config
             and joint.model.sha256 == previous.joints[slot].model.sha256
-        )
-        self.pipeline.take_over(previous.pipeline.hand_on(), buses=buses, slots=kept)
-        for slot in kept:
+        }
+        kept = carried_over(unchanged, previous.node_plans(buses), self.node_plans(buses))
+        state = previous.pipeline.hand_on()
+        self.pipeline.take_over(state, buses=buses, slots=kept.slots, nodes=kept.nodes)
+        for slot in kept.slots:
             self.node_state[slot] = previous.node_state[slot]
             self.node_since_ns[slot] = previous.node_since_ns[slot]
         for slot, outage in previous.outages.items():
             if slot in self.joints and self.joints[slot].config.name == previous.joints[slot].config.name:
                 self.outages[slot] = outage
-                if slot not in kept:
+                if slot not in kept.slots:
                     outage.restart(time.monotonic_ns())
         self.buses_down = {name: text for name, text in previous.buses_down.items() if name in buses}
         return kept
 
+    def node_plans(self, buses: Collection[str]) -> dict[NodeKey, NodePlan]:
+        """What the nodes of these buses are to send."""
+        return {(bus, plan.node_id): plan for bus in self._plans.keys() & buses for plan in self._plans[bus]}
+
     def plans(self, bus: str) -> list[NodePlan]:
         """What the nodes of this bus are to send."""
-        return [node_plan(joint.config) for joint in self.joints.values() if joint.config.bus == bus]
+        return self._plans[bus]
 
     def process_data(self, bus: str) -> frozenset[int]:
         """The COB-IDs on this bus that are the pipeline's."""
@@ -113,6 +132,15 @@ class Arrangement:
         self.node_state[slot] = report.state
         self.node_since_ns[slot] = now_ns
         self.pipeline.on_node(slot, _CONDITIONS.get(report.state, NodeCondition.NOT_READY), now_ns)
+
+    def on_sensor(self, bus: str, node_id: int, report: NodeReport) -> None:
+        """The life cycle of any node moved on; those without an encoder are told so alone."""
+        condition = _CONDITIONS.get(report.state, NodeCondition.NOT_READY)
+        self.pipeline.on_sensor(bus, node_id, condition, time.monotonic_ns())
+
+    def _clash(self, slot: int, reason: str) -> None:
+        joint = self.joints[slot].config
+        self._on_clash(joint.bus, joint.node_id, reason)
 
     def accept(self, slot: int, settings: EncoderSettings) -> list[str]:
         """Why this encoder must not be corrected with the joint's model; empty where it may."""

@@ -12,13 +12,14 @@ from trueangle.config import DaemonConfig, JointConfig, load_config
 from trueangle.contract.encoder import EncoderSettings
 from trueangle.contract.errors import ContractError, Fault
 from trueangle.contract.metadata import Interval
-from trueangle.core.frames import POSITION_OBJECT, MappedObject, NodePlan, Quantity, TpdoPlan
+from trueangle.core.frames import Trigger
 from trueangle.core.health import Limits
 from trueangle.core.pipeline import JointChannel
 from trueangle.core.registers import JointIdentity
 from trueangle.core.sample import SampleScale
 from trueangle.edges.can_bus import bus_faults
 from trueangle.edges.onnx_model import OnnxModel, load_model
+from trueangle.process_data import node_plan, plan_faults
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,6 +50,7 @@ def check_buses(config: DaemonConfig, *, source: str) -> None:
     faults: list[Fault] = []
     for i, bus in enumerate(config.buses):
         faults += bus_faults(bus, where=f"{source}, buses[{i}]")
+    faults += plan_faults(config, source=source)
     if faults:
         raise ContractError(faults)
 
@@ -119,39 +121,6 @@ def encoder_differences(joint: LoadedJoint, found: EncoderSettings) -> list[str]
     return differences
 
 
-def node_plan(joint: JointConfig) -> NodePlan:
-    """The process data that this joint needs: position (and sequence) with each SYNC, temperature now and then."""
-    index, subindex = POSITION_OBJECT
-    position = [MappedObject(index=index, subindex=subindex, bits=32, quantity=Quantity.POSITION)]
-    if joint.sequence is not None:
-        position.append(
-            MappedObject(
-                index=joint.sequence.index,
-                subindex=joint.sequence.subindex,
-                bits=joint.sequence.bits,
-                quantity=Quantity.SEQUENCE,
-            )
-        )
-    temperature = MappedObject(
-        index=joint.temperature.index,
-        subindex=joint.temperature.subindex,
-        bits=joint.temperature.bits,
-        quantity=Quantity.TEMPERATURE,
-        signed=joint.temperature.signed,
-    )
-    # COB-IDs of the pre-defined connection set (CiA 301, 7.3.3).
-    tpdos = (
-        TpdoPlan(number=1, cob_id=0x180 + joint.node_id, transmission_type=1, mapping=tuple(position)),
-        TpdoPlan(
-            number=2,
-            cob_id=0x280 + joint.node_id,
-            transmission_type=joint.temperature.every_syncs,
-            mapping=(temperature,),
-        ),
-    )
-    return NodePlan(slot=joint.slot, node_id=joint.node_id, tpdos=tpdos, heartbeat_ms=joint.heartbeat_ms)
-
-
 def joint_channel(joint: LoadedJoint) -> JointChannel:
     """What the pipeline needs of a joint."""
     config, metadata = joint.config, joint.model.metadata
@@ -164,6 +133,9 @@ def joint_channel(joint: LoadedJoint) -> JointChannel:
             degc_per_unit=config.temperature.degc_per_unit,
             offset_c=config.temperature.offset_c,
             sequence_modulus=None if config.sequence is None else 1 << config.sequence.bits,
+            temperature_by_change=config.temperature.tpdo.trigger is Trigger.EVENT,
+            synchronous=config.tpdo.trigger is Trigger.SYNC,
+            position_period_ms=config.tpdo.period_ms if config.tpdo.trigger is Trigger.TIMER else None,
         ),
         limits=Limits(
             stale_ms=config.stale_ms,
@@ -173,6 +145,8 @@ def joint_channel(joint: LoadedJoint) -> JointChannel:
             model_temperature_c=metadata.valid_temperature_c,
         ),
         model=joint.model,
+        temperature_node=config.temperature.node_id,
+        temperature_has_status=config.temperature.status is not None,
     )
 
 
