@@ -10,6 +10,15 @@ from trueangle.core.commands import CommandDesk
 from trueangle.core.modbus_pdu import Identification, RegisterSource
 from trueangle.edges.modbus_server import ModbusLimits, ModbusRtuServer, ModbusTcpServer, TlsSettings, load_tls
 from trueangle.edges.modbus_server.server import Listener
+from trueangle.edges.modbus_server.tls import is_credential
+
+__all__ = ["ModbusSide", "TlsSettings", "tls_settings", "uses_credentials"]
+
+
+def uses_credentials(config: ModbusConfig) -> bool:
+    """Whether a key or certificate comes from systemd, and can be read only by the service."""
+    tls = config.tls
+    return tls is not None and any(is_credential(one) for one in (tls.certificate, tls.private_key, tls.client_ca))
 
 
 def tls_settings(config: ModbusConfig, *, base: Path, credentials: Path | None, source: str) -> TlsSettings | None:

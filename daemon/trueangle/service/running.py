@@ -122,6 +122,7 @@ class Service:
                 if self._commanding is not None:
                     stack.push_async_callback(self._commanding.close)
                 await self._server.start()
+                self._close_unused()
                 stack.push_async_callback(self._server.close)
                 _tell_unbound(self._arrangement.joints.values())
                 stack.push_async_exit(self._close_lines)
@@ -139,6 +140,13 @@ class Service:
             for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
                 loop.remove_signal_handler(number)
         _log.info("event=stopped images=%d", self._arrangement.pipeline.counters.images)
+
+    def _close_unused(self) -> None:
+        """A socket that nobody answers on would let its clients wait for ever: they are refused instead."""
+        for name, handed_over in self._sockets.items():
+            if name not in self._server.ports:
+                _log.warning("event=socket_unused name=%r reason='no server of this name is configured'", name)
+                handed_over.close()
 
     async def _open_lines(self) -> None:
         """Open the buses of the arrangement that are not open."""
