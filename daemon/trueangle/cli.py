@@ -1,4 +1,4 @@
-"""`trueangled`: run, check-config, check-model, registers.
+"""`trueangled`: run, check-config, check-model, registers, metrics.
 
 Exit codes: 0 done; 1 the service could not go on (port taken); 2 bad input, every fault on a line of its own.
 """
@@ -15,6 +15,7 @@ from pathlib import Path
 from trueangle.config import DaemonConfig, load_config
 from trueangle.contract.errors import ContractError, TrueangleError
 from trueangle.contract.metadata import ModelMetadata
+from trueangle.core.metrics import render_metric_table
 from trueangle.core.register_table import render_csv, render_markdown, render_text
 from trueangle.edges.journal import LogFormatter
 from trueangle.edges.onnx_model import load_model
@@ -58,6 +59,9 @@ def _parser() -> argparse.ArgumentParser:
     check_model = commands.add_parser("check-model", help="check a model file and say what it is")
     check_model.add_argument("model", type=Path, metavar="FILE")
     check_model.set_defaults(command=_check_model)
+
+    metrics = commands.add_parser("metrics", help="print the table of metrics, as Markdown")
+    metrics.set_defaults(command=_metrics)
 
     registers = commands.add_parser("registers", help="print the table of Modbus registers")
     registers.add_argument(
@@ -157,6 +161,11 @@ def _registers(options: argparse.Namespace) -> int:
     if options.config is not None:
         slots = sorted(joint.slot for joint in load_config(options.config).joints)
     _say(_RENDERERS[options.format](slots))
+    return 0
+
+
+def _metrics(_: argparse.Namespace) -> int:
+    _say(render_metric_table())
     return 0
 
 

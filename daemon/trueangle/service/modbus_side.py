@@ -8,7 +8,14 @@ from socket import socket
 from trueangle.config import ModbusConfig
 from trueangle.core.commands import CommandDesk
 from trueangle.core.modbus_pdu import Identification, RegisterSource
-from trueangle.edges.modbus_server import ModbusLimits, ModbusRtuServer, ModbusTcpServer, TlsSettings, load_tls
+from trueangle.edges.modbus_server import (
+    ModbusCounters,
+    ModbusLimits,
+    ModbusRtuServer,
+    ModbusTcpServer,
+    TlsSettings,
+    load_tls,
+)
 from trueangle.edges.modbus_server.server import Listener
 from trueangle.edges.modbus_server.tls import is_credential
 
@@ -78,6 +85,11 @@ class ModbusSide:
     def ports(self) -> Mapping[str, int]:
         """Bound ports by the names of the sockets, while listening."""
         return self.tcp.ports
+
+    @property
+    def counters(self) -> ModbusCounters:
+        """Of plain TCP and TLS together."""
+        return self.tcp.counters
 
     def take_commands(self, desk: CommandDesk) -> None:
         """Connections from now on give their commands here, where the configuration lets them."""

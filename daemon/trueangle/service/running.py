@@ -20,13 +20,16 @@ from trueangle.config import DaemonConfig
 from trueangle.contract.encoder import EncoderSettings
 from trueangle.contract.errors import ContractError, Fault
 from trueangle.core.health import ServiceBit
+from trueangle.core.metrics import CONTENT_TYPE, render_metrics
 from trueangle.core.registers import RegisterImage
+from trueangle.edges.metrics import MetricsServer
 from trueangle.edges.modbus_server import TlsSettings
 from trueangle.edges.systemd import ServiceNotifier
 from trueangle.service.arrangement import Arrangement
 from trueangle.service.bus_line import BusLine
 from trueangle.service.commanding import Commanding
 from trueangle.service.joints import Loaded, LoadedJoint
+from trueangle.service.measuring import service_samples
 from trueangle.service.modbus_side import ModbusSide
 from trueangle.service.reloading import ReloadRecord, restart_faults
 
@@ -124,6 +127,9 @@ class Service:
                 await self._server.start()
                 self._close_unused()
                 stack.push_async_callback(self._server.close)
+                if (metrics := self._metrics(self._arrangement.config)) is not None:
+                    await metrics.open()
+                    stack.push_async_callback(metrics.close)
                 _tell_unbound(self._arrangement.joints.values())
                 stack.push_async_exit(self._close_lines)
                 await self._open_lines()
@@ -140,6 +146,25 @@ class Service:
             for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
                 loop.remove_signal_handler(number)
         _log.info("event=stopped images=%d", self._arrangement.pipeline.counters.images)
+
+    def _metrics(self, config: DaemonConfig) -> MetricsServer | None:
+        if config.metrics is None:
+            return None
+        started_s = time.time()
+
+        def render() -> str:
+            return render_metrics(
+                service_samples(
+                    self._arrangement,
+                    self._lines,
+                    self._server.counters,
+                    self.reloads,
+                    now_ns=time.monotonic_ns(),
+                    started_s=started_s,
+                )
+            )
+
+        return MetricsServer(config.metrics.host, config.metrics.port, render=render, content_type=CONTENT_TYPE)
 
     def _close_unused(self) -> None:
         """A socket that nobody answers on would let its clients wait for ever: they are refused instead."""
