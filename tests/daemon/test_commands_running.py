@@ -13,6 +13,7 @@ from tests.fakes.modbus_tcp_client import frame
 from tests.fakes.running_service import (
     GOOD,
     MARKER,
+    MODELS,
     Rig,
     config_yaml,
     correction_arcsec,
@@ -23,10 +24,12 @@ from tests.fakes.running_service import (
     started,
 )
 
+from trueangle.config import parse_config
 from trueangle.contract.errors import ContractError
 from trueangle.core.commands import Command, Result
 from trueangle.core.health import StatusBit
 from trueangle.core.presets import presets_text, read_presets
+from trueangle.service import Loaded, load_joints
 
 COUNTS, CENTI_C = 700_000, 2500
 WANTED_MAS = 36_000_000
@@ -212,3 +215,28 @@ def test_commands_without_a_place_for_presets_are_refused_at_the_start(caplog: p
 
     with pytest.raises(ContractError, match="state_directory"):
         asyncio.run(within())
+
+
+@pytest.mark.parametrize("stale_ms", [500, 600])
+def test_a_preset_stays_through_a_reload_whether_its_joint_goes_on_or_begins_anew(
+    stale_ms: int, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, tmp_path: Path
+) -> None:
+    def load_again() -> Loaded:
+        changed = parse_config(config().replace("stale_ms: 500", f"stale_ms: {stale_ms}"), source="t")
+        return Loaded(config=changed, joints=load_joints(changed, base=MODELS, source="t"))
+
+    async def within() -> None:
+        async with (
+            on_wire(monkeypatch, CanWire(), node()),
+            started(config(), caplog, load_again=load_again, state_directory=tmp_path) as rig,
+        ):
+            await preset(rig)
+            await is_preset(rig)
+            rig.service.reload()
+            await rig.until_told(lambda: rig.service.reloads.succeeded == 1)
+            # Not one valid answer without the preset, from the first one on.
+            read = await rig.until(1, lambda read: StatusBit.VALID in read.status)
+            assert StatusBit.USER_PRESET in read.status
+            await is_preset(rig)
+
+    asyncio.run(within())
