@@ -19,6 +19,7 @@ from trueangle.config import DaemonConfig, JointConfig
 from trueangle.contract.encoder import EncoderSettings
 from trueangle.contract.errors import ContractError, Fault
 from trueangle.contract.metadata import Interval
+from trueangle.core.calendar_day import LatestDay
 from trueangle.core.frames import Trigger
 from trueangle.core.health import INFORMATION, Limits, NodeCondition, ServiceBit, StatusBit
 from trueangle.core.node_setup import NodeReport, NodeState
@@ -31,6 +32,7 @@ from trueangle.edges.modbus_server import ModbusLimits, ModbusTcpServer
 from trueangle.edges.onnx_model import OnnxModel, load_model
 from trueangle.edges.systemd import ServiceNotifier
 from trueangle.process_data import node_plan, node_plans, plan_faults
+from trueangle.serving_settings import count_differences, head_differences, range_counts, served_as_configured
 
 TICK_S = 0.01
 """Ages in the registers are renewed at least this often, and a joint gone stale is marked within it."""
@@ -121,16 +123,7 @@ def _model_against_config(model: OnnxModel, joint: JointConfig, where: str) -> l
 
 def encoder_differences(joint: LoadedJoint, found: EncoderSettings) -> list[str]:
     """Why this encoder must not be corrected with this model; empty where it may."""
-    differences: list[str] = []
-    counts_per_rev = found.counts_per_rev
-    if counts_per_rev != joint.config.encoder.counts_per_rev:
-        expected = joint.config.encoder.counts_per_rev
-        shown = "not readable" if counts_per_rev is None else str(counts_per_rev)
-        differences.append(f"counts per revolution expected {expected} found {shown}")
-    range_units = found.total_range_units
-    if range_units is not None and (range_units or 2**32) % joint.config.encoder.counts_per_rev:
-        # The position would wrap in the middle of a turn and show another angle from then on.
-        differences.append(f"total_range_units {range_units} is no whole number of turns")
+    differences = count_differences(joint.config.encoder, found)
     for expected in (joint.config.encoder.settings, joint.model.metadata.encoder_settings):
         differences += [text for text in found.differences_from(expected) if text not in differences]
     return differences
@@ -139,7 +132,7 @@ def encoder_differences(joint: LoadedJoint, found: EncoderSettings) -> list[str]
 def joint_channel(joint: LoadedJoint) -> JointChannel:
     """What the pipeline needs of a joint."""
     config, metadata = joint.config, joint.model.metadata
-    return JointChannel(
+    channel = JointChannel(
         slot=config.slot,
         bus=config.bus,
         plan=node_plan(config),
@@ -163,6 +156,7 @@ def joint_channel(joint: LoadedJoint) -> JointChannel:
         temperature_node=config.temperature.node_id,
         temperature_has_status=config.temperature.status is not None,
     )
+    return served_as_configured(channel, config, metadata.calibration)
 
 
 def joint_identity(joint: LoadedJoint) -> JointIdentity:
@@ -209,6 +203,7 @@ class Service:
             on_status=self._on_status,
             sensors=[(bus.name, plan) for bus in config.buses for plan in node_plans(config.joints, bus.name)],
             on_clash=self._on_clash,
+            today=LatestDay(lambda: datetime.datetime.now(datetime.UTC).date()),
         )
         self._masters: dict[str, CanMaster] = {}
         self._buses: dict[str, CanBus] = {}
@@ -267,6 +262,7 @@ class Service:
                 node_plans(self._config.joints, name),
                 on_node=self._on_node,
                 accept=self._accept,
+                accept_head=self._accept_head,
                 on_sensor=lambda node_id, report, name=name: self._on_sensor(name, node_id, report),
                 on_value=self._pipeline.on_value,
                 on_alive=lambda node_id, stamp_ns, name=name: self._pipeline.on_alive(name, node_id, stamp_ns),
@@ -313,11 +309,19 @@ class Service:
     def _accept(self, slot: int, settings: EncoderSettings) -> list[str]:
         return encoder_differences(self._joints[slot], settings)
 
+    def _accept_head(self, slot: int, head: int, settings: EncoderSettings) -> list[str]:
+        return head_differences(self._joints[slot].config, head, settings)
+
     def _on_node(self, slot: int, report: NodeReport) -> None:
         now_ns = time.monotonic_ns()
-        self._node_state[slot] = report.state
-        self._node_since_ns[slot] = now_ns
-        self._pipeline.on_node(slot, _CONDITIONS.get(report.state, NodeCondition.NOT_READY), now_ns)
+        if report.head == 0:
+            self._node_state[slot] = report.state
+            self._node_since_ns[slot] = now_ns
+        unready = NodeCondition.SILENT if report.silent else NodeCondition.NOT_READY
+        condition = _CONDITIONS.get(report.state, unready)
+        self._pipeline.on_node(
+            slot, condition, now_ns, head=report.head, range_counts=range_counts(report.settings)
+        )
 
     def _on_sensor(self, bus: str, node_id: int, report: NodeReport) -> None:
         condition = _CONDITIONS.get(report.state, NodeCondition.NOT_READY)

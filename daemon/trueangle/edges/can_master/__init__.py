@@ -30,6 +30,7 @@ class CanMaster:
     settings)` gives the differences for which the node's angle must not be corrected; empty accepts.
     `on_sensor(node_id, report)` is the same for every node, by its id; `on_value(slot, quantity, value, stamp_ns)`
     tells what was read by SDO, `on_alive(node_id, stamp_ns)` that a node in service lives.
+    `accept_head(slot, head, settings)` is `accept` for a joint's further heads; without it they are refused.
     """
 
     def __init__(
@@ -42,6 +43,7 @@ class CanMaster:
         on_sensor: Callable[[int, NodeReport], None] | None = None,
         on_value: Callable[[int, Quantity, int, int], None] | None = None,
         on_alive: Callable[[int, int], None] | None = None,
+        accept_head: Callable[[int, int, EncoderSettings], list[str]] | None = None,
         timing: MasterTiming | None = None,
     ) -> None:
         timing = timing or MasterTiming()
@@ -63,9 +65,18 @@ class CanMaster:
                 if on_sensor is not None:
                     on_sensor(node_id, report)
 
+            def accept_settings(settings: EncoderSettings) -> list[str]:
+                if slot is None:
+                    return []
+                if plan.head == 0:
+                    return accept(slot, settings)
+                return (
+                    ["nobody knows this head"] if accept_head is None else accept_head(slot, plan.head, settings)
+                )
+
             return NodeListener(
                 on_report=on_report,
-                accept=lambda settings: [] if slot is None else accept(slot, settings),
+                accept=accept_settings,
                 on_value=tell_value,
                 on_alive=lambda stamp_ns: None if on_alive is None else on_alive(node_id, stamp_ns),
             )
