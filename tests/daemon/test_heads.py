@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trueangle.core.heads import FADE_S, HeadFusion
@@ -49,6 +49,7 @@ class Shaft:
         return self.fusion.raw_deg
 
 
+@settings(deadline=None)
 @given(
     heads=st.integers(2, 4),
     shaft_deg=st.floats(0, 360),
@@ -92,21 +93,22 @@ def test_a_lost_head_and_its_return_never_make_the_angle_jump(lost: tuple[int, .
     )
 
 
-@given(st.integers(2, 4), st.integers(0, 999), st.integers(1, 999), st.data())
+@settings(deadline=None, max_examples=60)
+@given(st.integers(2, 4), st.integers(0, 99), st.integers(1, 99), st.data())
 def test_the_error_after_the_loss_stays_within_the_uncertainty_that_is_told(
     heads: int, lost_at: int, on: int, data: st.DataObject
 ) -> None:
     mounting = tuple(360.0 * k / heads for k in range(heads))
     shaft = Shaft(mounting, {1: ECCENTRICITY_ARCSEC, 3: 7.0})
     lost = data.draw(st.integers(0, heads - 1))
-    for sample in range(1000):
-        shaft.turn_to(0.36 * sample)
-    for sample in range(1000, 1000 + lost_at):
-        shaft.turn_to(0.36 * sample)
+    for sample in range(100):
+        shaft.turn_to(3.6 * sample)
+    for sample in range(100, 100 + lost_at):
+        shaft.turn_to(3.6 * sample)
     fused_deg = math.nan
-    for sample in range(1000 + lost_at, 1000 + lost_at + on):
-        fused_deg = shaft.turn_to(0.36 * sample, lost=(lost,))
-    full_deg = Shaft(mounting, {1: ECCENTRICITY_ARCSEC, 3: 7.0}).turn_to(0.36 * (1000 + lost_at + on - 1))
+    for sample in range(100 + lost_at, 100 + lost_at + on):
+        fused_deg = shaft.turn_to(3.6 * sample, lost=(lost,))
+    full_deg = Shaft(mounting, {1: ECCENTRICITY_ARCSEC, 3: 7.0}).turn_to(3.6 * (100 + lost_at + on - 1))
     told = shaft.fusion.uncertainty_arcsec
     assert shaft.fusion.lost
     assert told is not None

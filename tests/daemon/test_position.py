@@ -3,7 +3,7 @@
 from fractions import Fraction
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trueangle.core.position import Mechanics, MotionLimits, PositionTrack, extrapolate
@@ -25,6 +25,7 @@ def follow(position: PositionTrack, *angles_deg: float, start_ms: int = 0) -> No
         position.move_to(round(angle_deg * 100), (start_ms + 5 * number) * MS)
 
 
+@settings(deadline=None)
 @given(
     per_rev=st.integers(2, 2**32),
     revolutions=st.integers(1, 8),
@@ -56,6 +57,7 @@ def test_turns_and_angle_together_are_the_way_travelled_across_every_wrap(
     assert abs(float(joint_turns - position.turns) * 360.0 - position.raw_deg) < 1e-9
 
 
+@settings(deadline=None)
 @given(st.integers(2, 2**32), st.integers(0, 2**32 - 1))
 def test_direction_minus_one_mirrors_the_angle(per_rev: int, counts: int) -> None:
     there, back = track(per_rev), track(per_rev, direction=-1)

@@ -233,6 +233,7 @@ def test_a_held_angle_that_has_ended_does_not_come_back() -> None:
     assert rig.served.corrected == MARKER
 
 
+@settings(deadline=None)
 @given(st.floats(1, 1000), st.lists(st.floats(0.1, 100), max_size=20))
 def test_no_held_angle_is_older_than_its_limit(hold_ms: float, pauses_ms: list[float]) -> None:
     rig = Rig(ServingPolicy(when_not_valid=WhenNotValid.HOLD, hold_ms=hold_ms)).running()
@@ -384,6 +385,7 @@ def test_a_temperature_that_jumps_is_a_reason_of_its_own() -> None:
     assert rig.served.status == CONFIGURED | StatusBit.TEMPERATURE_IMPLAUSIBLE
 
 
+@settings(deadline=None)
 @given(st.floats(-720, 720), st.floats(0, 359.999))
 def test_a_user_zero_moves_what_is_served_and_nothing_else(zero_deg: float, angle_deg: float) -> None:
     rig = Rig().running(angle_deg=angle_deg)
