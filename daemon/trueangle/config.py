@@ -276,10 +276,10 @@ class WhenNotValidConfig:
     def __post_init__(self) -> None:
         faults: list[Fault] = []
         if (self.policy is StandIn.HOLD) != (self.hold_ms is not None):
-            expected = "given with policy hold and only with it"
+            expected = "hold_ms with policy hold and only with it"
             faults.append(Fault(where="hold_ms", expected=expected, found=f"policy {self.policy.value}"))
         if (self.policy is StandIn.RAW) != self.allow_raw:
-            expected = "true with policy raw and only with it"
+            expected = "allow_raw: true with policy raw and only with it"
             faults.append(Fault(where="allow_raw", expected=expected, found=f"policy {self.policy.value}"))
         if faults:
             raise ContractError(faults)

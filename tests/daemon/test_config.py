@@ -109,10 +109,10 @@ def test_a_file_that_cannot_be_read_is_a_fault(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("key", "found"),
     [
-        ("when_not_valid: {policy: hold}", "hold_ms: expected given with policy hold and only with it"),
-        ("when_not_valid: {policy: raw}", "allow_raw: expected true with policy raw and only with it"),
-        ("when_not_valid: {policy: marker, allow_raw: true}", "allow_raw: expected true with policy raw"),
-        ("when_not_valid: {hold_ms: 20}", "hold_ms: expected given with policy hold"),
+        ("when_not_valid: {policy: hold}", "expected hold_ms with policy hold and only with it"),
+        ("when_not_valid: {policy: raw}", "expected allow_raw: true with policy raw and only with it"),
+        ("when_not_valid: {policy: marker, allow_raw: true}", "expected allow_raw: true with policy raw"),
+        ("when_not_valid: {hold_ms: 20}", "expected hold_ms with policy hold"),
         (
             "further_heads: [{node_id: 1, mounting_deg: 180, encoder: {counts_per_rev: 4096}}]",
             "joints[1].further_heads[0].node_id: expected a node of its own",
