@@ -112,6 +112,8 @@ class NodePlan:
     """Never written to: what it is set to must already be right."""
     polls: tuple[PolledObject, ...] = ()
     expected: tuple[ExpectedValue, ...] = ()
+    head: int = 0
+    """Which reading head of the joint it is: 0 the first, 1 to 3 a further one."""
 
 
 LAST_SYNCHRONOUS_TYPE = 240

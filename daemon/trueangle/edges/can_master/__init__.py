@@ -30,6 +30,7 @@ class CanMaster:
     settings)` gives the differences for which the node's angle must not be corrected; empty accepts.
     `on_sensor(node_id, report)` is the same for every node, by its id; `on_value(slot, quantity, value, stamp_ns)`
     tells what was read by SDO, `on_alive(node_id, stamp_ns)` that a node in service lives.
+    `accept_head(slot, head, settings)` is `accept` for a joint's further heads; without it they are refused.
     """
 
     def __init__(
@@ -42,9 +43,10 @@ class CanMaster:
         on_sensor: Callable[[int, NodeReport], None] | None = None,
         on_value: Callable[[int, Quantity, int, int], None] | None = None,
         on_alive: Callable[[int, int], None] | None = None,
+        accept_head: Callable[[int, int, EncoderSettings], list[str]] | None = None,
         timing: MasterTiming | None = None,
     ) -> None:
-        self._bus, self._on_node, self._accept = bus, on_node, accept
+        self._bus, self._on_node, self._accept, self._accept_head = bus, on_node, accept, accept_head
         self._timing = timing or MasterTiming()
         # canopen warns at each SDO time-out, twice a second while a node is away; the transition is logged here.
         logging.getLogger("canopen.sdo.client").setLevel(logging.CRITICAL)
@@ -79,9 +81,18 @@ class CanMaster:
             if self._on_alive is not None:
                 self._on_alive(node_id, stamp_ns)
 
+        def accept_settings(settings: EncoderSettings) -> list[str]:
+            if slot is None:
+                return []
+            if plan.head == 0:
+                return self._accept(slot, settings)
+            if self._accept_head is None:
+                return ["nobody knows this head"]
+            return self._accept_head(slot, plan.head, settings)
+
         return NodeListener(
             on_report=on_report,
-            accept=lambda settings: [] if slot is None else self._accept(slot, settings),
+            accept=accept_settings,
             on_value=on_value,
             on_alive=on_alive,
         )
