@@ -76,6 +76,8 @@ class NodeReport:
     state: NodeState
     settings: EncoderSettings | None = None
     """As read at this bring-up; None before it was read."""
+    head: int = 0
+    """Which reading head of its joint it is."""
     reason: str = ""
     """Why it is LOST, FAULT or REFUSED; empty otherwise."""
 

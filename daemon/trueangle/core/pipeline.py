@@ -8,7 +8,7 @@ word, the others go on.
 """
 
 import datetime
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from trueangle.core.calendar_day import is_past_due
@@ -210,6 +210,8 @@ class Pipeline:
         self.last_image_ns: int | None = None
         self.service_bits = ServiceBit(0)
         """What the service itself has to tell, served with the next image."""
+        self.states: Mapping[int, JointState] = {}
+        """Each slot as last served."""
 
     def process_data(self, bus: str) -> frozenset[int]:
         """The COB-IDs on this bus that are the pipeline's; every other frame is the master's."""
@@ -403,6 +405,7 @@ class Pipeline:
             service |= ServiceBit.BUS_DOWN
         self.counters.images += 1
         self.last_image_ns = now_ns
+        self.states = states
         self._publish(
             self._registers.image(
                 cycle=self.counters.images & 0xFFFFFFFF,
@@ -495,3 +498,49 @@ class Pipeline:
     def statuses(self) -> Mapping[int, StatusBit]:
         """The status word of each slot as last served."""
         return {slot: joint.status for slot, joint in self._joints.items()}
+
+    def hand_on(self) -> "PipelineState":
+        """What the pipeline in this one's place goes on with; this one must not be called again."""
+        return PipelineState(
+            joints=self._joints,
+            syncs=self._syncs,
+            awaited=frozenset(self._awaited),
+            counters=self.counters,
+            last_image_ns=self.last_image_ns,
+            service_bits=self.service_bits,
+            sensors_alive=self._sensors.alive,
+        )
+
+    def take_over(self, state: "PipelineState", *, buses: Mapping[str, bool], slots: Collection[int]) -> None:
+        """Go on where another ended: with the buses that stay open, each up or not, and the joints that stay.
+
+        Samples, corrections and the place in the cycle of a joint that stays are moved, not copied.
+        """
+        self.counters, self.last_image_ns = state.counters, state.last_image_ns
+        self.service_bits = state.service_bits
+        for bus in self._bus_up.keys() & buses.keys():
+            self._bus_up[bus] = buses[bus]
+            self._syncs[bus] = state.syncs.get(bus, self._syncs[bus])
+        for slot in slots:
+            self._joints[slot] = state.joints[slot]
+        heads = {head.key for slot in slots for head in self._joints[slot].heads}
+        self._awaited = set(state.awaited & heads)
+        for place, (joint, head, layout) in self._table.items():
+            now = self._joints[joint.channel.slot]
+            self._table[place] = (now, now.heads[joint.heads.index(head)], layout)
+        self._fused = [joint for joint in self._joints.values() if joint.fusion is not None]
+        samples = {slot: joint.sample for slot, joint in self._joints.items()}
+        self._sensors.take_over(state.sensors_alive, samples)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PipelineState:
+    """All that a pipeline knows beside its configuration."""
+
+    joints: Mapping[int, _Joint]
+    syncs: Mapping[str, SyncHistory]
+    awaited: frozenset[int]
+    counters: PipelineCounters
+    last_image_ns: int | None
+    service_bits: ServiceBit
+    sensors_alive: frozenset[tuple[str, int]]

@@ -98,9 +98,9 @@ class NodeSupervisor:
         self._retry_now.set()
         self._disturb(LinkError(reason))
 
-    def interrupt_sdo(self) -> None:
-        """End the transfer that a worker thread waits for."""
-        self._sdo.interrupt()
+    def close(self) -> None:
+        """End the transfer that a worker thread waits for, and begin no other."""
+        self._sdo.close()
 
     async def live(self) -> None:
         """Bring the node up, watch it, take it out, and begin again; until cancelled."""
@@ -296,7 +296,7 @@ class NodeSupervisor:
         self._report(_state_after(error), str(error))
 
     def _report(self, state: NodeState, reason: str = "") -> None:
-        report = NodeReport(state=state, settings=self._settings, reason=reason)
+        report = NodeReport(state=state, settings=self._settings, head=self._plan.head, reason=reason)
         if report != self._reported:
             self._reported = report
             self._log.tell(report, self._failures)
