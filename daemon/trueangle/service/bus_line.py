@@ -37,6 +37,7 @@ class BusLine:
             list(self._plans.values()),
             on_node=self._on_node,
             accept=self._accept,
+            accept_head=self._accept_head,
             on_sensor=self._on_sensor,
             on_value=self._on_value,
             on_alive=self._on_alive,
@@ -70,7 +71,7 @@ class BusLine:
         self._bus.listen_to(self._master.cob_ids | arrangement.process_data(self.settings.name))
         for node_id in plans.keys() - staying:
             # Until it reports: of what it said to the arrangement before, nothing counts.
-            unknown = NodeReport(state=NodeState.UNKNOWN)
+            unknown = NodeReport(state=NodeState.UNKNOWN, head=plans[node_id].head)
             arrangement.on_sensor(self.settings.name, node_id, unknown)
             slot = plans[node_id].slot
             if slot is not None:
@@ -141,3 +142,8 @@ class BusLine:
         if self._arrangement is None:
             return ["the bus is being closed"]
         return self._arrangement.accept(slot, settings)
+
+    def _accept_head(self, slot: int, head: int, settings: EncoderSettings) -> list[str]:
+        if self._arrangement is None:
+            return ["the bus is being closed"]
+        return self._arrangement.accept_head(slot, head, settings)

@@ -19,7 +19,8 @@ from trueangle.core.registers import JointIdentity
 from trueangle.core.sample import SampleScale
 from trueangle.edges.can_bus import bus_faults
 from trueangle.edges.onnx_model import OnnxModel, load_model
-from trueangle.service.process_data import node_plan, plan_faults
+from trueangle.process_data import node_plan, plan_faults
+from trueangle.serving_settings import count_differences, served_as_configured
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,16 +107,7 @@ def _model_against_config(model: OnnxModel, joint: JointConfig, where: str) -> l
 
 def encoder_differences(joint: LoadedJoint, found: EncoderSettings) -> list[str]:
     """Why this encoder must not be corrected with this model; empty where it may."""
-    differences: list[str] = []
-    counts_per_rev = found.counts_per_rev
-    if counts_per_rev != joint.config.encoder.counts_per_rev:
-        expected = joint.config.encoder.counts_per_rev
-        shown = "not readable" if counts_per_rev is None else str(counts_per_rev)
-        differences.append(f"counts per revolution expected {expected} found {shown}")
-    range_units = found.total_range_units
-    if range_units is not None and (range_units or 2**32) % joint.config.encoder.counts_per_rev:
-        # The position would wrap in the middle of a turn and show another angle from then on.
-        differences.append(f"total_range_units {range_units} is no whole number of turns")
+    differences = count_differences(joint.config.encoder, found)
     for expected in (joint.config.encoder.settings, joint.model.metadata.encoder_settings):
         differences += [text for text in found.differences_from(expected) if text not in differences]
     return differences
@@ -124,7 +116,7 @@ def encoder_differences(joint: LoadedJoint, found: EncoderSettings) -> list[str]
 def joint_channel(joint: LoadedJoint) -> JointChannel:
     """What the pipeline needs of a joint."""
     config, metadata = joint.config, joint.model.metadata
-    return JointChannel(
+    channel = JointChannel(
         slot=config.slot,
         bus=config.bus,
         plan=node_plan(config),
@@ -148,6 +140,7 @@ def joint_channel(joint: LoadedJoint) -> JointChannel:
         temperature_node=config.temperature.node_id,
         temperature_has_status=config.temperature.status is not None,
     )
+    return served_as_configured(channel, config, metadata.calibration)
 
 
 def joint_identity(joint: LoadedJoint) -> JointIdentity:
