@@ -115,13 +115,6 @@ class NodePlan:
     head: int = 0
     """Which reading head of its joint it is: 0 for the first."""
 
-    @property
-    def slots(self) -> frozenset[int]:
-        """Every joint that gets a value from this node."""
-        mapped = [*(o for tpdo in self.tpdos for o in tpdo.mapping), *(polled.value for polled in self.polls)]
-        own = frozenset[int]() if self.slot is None else frozenset({self.slot})
-        return own | {slot_of(self, value) for value in mapped}
-
 
 LAST_SYNCHRONOUS_TYPE = 240
 """Transmission types 1 to 240 are synchronous and cyclic (CiA 301, 7.5.2.35)."""

@@ -9,7 +9,7 @@ by silence: outages and their time are counted on.
 from collections import deque
 from dataclasses import dataclass
 
-from trueangle.core.health import StatusBit
+from trueangle.core.health import INFORMATION, StatusBit
 
 FLAPPING_OUTAGES = 6
 """So many outages that begin within `FLAPPING_WINDOW_S` are flapping: 12 lines a minute are read by nobody."""
@@ -18,7 +18,7 @@ QUIET_S = 60.0
 """Without a change for so long, a flapping joint is over it."""
 SUM_INTERVAL_S = 600.0
 
-INFORMATION = StatusBit.VALID | StatusBit.CONFIGURED
+NO_REASONS = StatusBit.VALID | StatusBit.CONFIGURED | INFORMATION
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,8 +30,8 @@ class LogLine:
 
 
 def reason_words(status: StatusBit) -> list[str]:
-    """The bits that are set beside VALID and CONFIGURED, as words."""
-    return [bit.name.lower() for bit in status & ~INFORMATION if bit.name]
+    """The bits that speak against a joint, as words."""
+    return [bit.name.lower() for bit in status & ~NO_REASONS if bit.name]
 
 
 class OutageLog:

@@ -185,24 +185,9 @@ class Pipeline:
         self._on_status = on_status
         self._today = today
         self._day_checked_ns: int | None = None
-        self._table: dict[tuple[str, int], tuple[_Joint, _Head, FrameLayout]] = {}
-        for joint in self._joints.values():
-            plans = (joint.channel.plan, *(head.plan for head in joint.channel.further_heads))
-            for head, plan in zip(joint.heads, plans, strict=True):
-                for cob_id, layout in frame_layouts(plan).items():
-                    if layout.slot is not None:
-                        self._table[joint.channel.bus, cob_id] = (joint, head, layout)
-        self._fused = [joint for joint in self._joints.values() if joint.fusion is not None]
         self._on_clash = on_clash
-        self._sensors = SensorNodes(
-            {slot: joint.sample for slot, joint in self._joints.items()},
-            [
-                (j.channel.bus, j.channel.temperature_node or j.channel.plan.node_id, slot)
-                for slot, j in self._joints.items()
-            ],
-        )
-        for bus, plan in sensors:
-            self._sensors.add(bus, plan)
+        self._sensor_plans = tuple(sensors)
+        self._lay_table()
         self._bus_up = {joint.channel.bus: False for joint in self._joints.values()}
         self._syncs = {joint.channel.bus: SyncHistory() for joint in self._joints.values()}
         self._awaited: set[int] = set()
@@ -212,6 +197,26 @@ class Pipeline:
         """What the service itself has to tell, served with the next image."""
         self.states: Mapping[int, JointState] = {}
         """Each slot as last served."""
+
+    def _lay_table(self) -> None:
+        """Where each COB-ID leads, from the joints as they are."""
+        self._table: dict[tuple[str, int], tuple[_Joint, _Head, FrameLayout]] = {}
+        for joint in self._joints.values():
+            plans = (joint.channel.plan, *(head.plan for head in joint.channel.further_heads))
+            for head, plan in zip(joint.heads, plans, strict=True):
+                for cob_id, layout in frame_layouts(plan).items():
+                    if layout.slot is not None:
+                        self._table[joint.channel.bus, cob_id] = (joint, head, layout)
+        self._fused = [joint for joint in self._joints.values() if joint.fusion is not None]
+        self._sensors = SensorNodes(
+            {slot: joint.sample for slot, joint in self._joints.items()},
+            [
+                (j.channel.bus, j.channel.temperature_node or j.channel.plan.node_id, slot)
+                for slot, j in self._joints.items()
+            ],
+        )
+        for bus, plan in self._sensor_plans:
+            self._sensors.add(bus, plan)
 
     def process_data(self, bus: str) -> frozenset[int]:
         """The COB-IDs on this bus that are the pipeline's; every other frame is the master's."""
@@ -505,14 +510,21 @@ class Pipeline:
             joints=self._joints,
             syncs=self._syncs,
             awaited=frozenset(self._awaited),
+            sensors=self._sensors.alive,
             counters=self.counters,
             last_image_ns=self.last_image_ns,
             service_bits=self.service_bits,
-            sensors_alive=self._sensors.alive,
         )
 
-    def take_over(self, state: "PipelineState", *, buses: Mapping[str, bool], slots: Collection[int]) -> None:
-        """Go on where another ended: with the buses that stay open, each up or not, and the joints that stay.
+    def take_over(
+        self,
+        state: "PipelineState",
+        *,
+        buses: Mapping[str, bool],
+        slots: Collection[int],
+        nodes: Collection[tuple[str, int]],
+    ) -> None:
+        """Go on where another ended: buses that stay open, each up or not, and joints and nodes that stay.
 
         Samples, corrections and the place in the cycle of a joint that stays are moved, not copied.
         """
@@ -523,14 +535,10 @@ class Pipeline:
             self._syncs[bus] = state.syncs.get(bus, self._syncs[bus])
         for slot in slots:
             self._joints[slot] = state.joints[slot]
-        heads = {head.key for slot in slots for head in self._joints[slot].heads}
-        self._awaited = set(state.awaited & heads)
-        for place, (joint, head, layout) in self._table.items():
-            now = self._joints[joint.channel.slot]
-            self._table[place] = (now, now.heads[joint.heads.index(head)], layout)
-        self._fused = [joint for joint in self._joints.values() if joint.fusion is not None]
-        samples = {slot: joint.sample for slot, joint in self._joints.items()}
-        self._sensors.take_over(state.sensors_alive, samples)
+        keys = {head.key for slot in slots for head in self._joints[slot].heads}
+        self._awaited = set(state.awaited & keys)
+        self._lay_table()
+        self._sensors.go_on_with(state.sensors & frozenset(nodes))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -540,7 +548,9 @@ class PipelineState:
     joints: Mapping[int, _Joint]
     syncs: Mapping[str, SyncHistory]
     awaited: frozenset[int]
+    """Keys of reading heads."""
+    sensors: frozenset[tuple[str, int]]
+    """Nodes in service that tell a temperature."""
     counters: PipelineCounters
     last_image_ns: int | None
     service_bits: ServiceBit
-    sensors_alive: frozenset[tuple[str, int]]

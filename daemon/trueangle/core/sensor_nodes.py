@@ -65,17 +65,17 @@ class SensorNodes:
         for slot in self._slots.get(node, ()):
             self._samples[slot].forget_temperature()
 
-    @property
-    def alive(self) -> frozenset[tuple[str, int]]:
-        """The nodes in service, each with its bus."""
-        return frozenset(self._alive)
-
-    def take_over(self, alive: frozenset[tuple[str, int]], samples: Mapping[int, JointSample]) -> None:
-        """Go on with these nodes in service and these joints' samples."""
-        self._alive, self._samples = set(alive), samples
-
     def on_alive(self, bus: str, node_id: int, stamp_ns: int) -> None:
         """The node proved that it lives: what it would have told of a change still holds."""
         if (bus, node_id) in self._alive:
             for slot in self._slots.get((bus, node_id), ()):
                 self._samples[slot].confirm_temperature(stamp_ns)
+
+    @property
+    def alive(self) -> frozenset[tuple[str, int]]:
+        """The nodes in service, each with its bus."""
+        return frozenset(self._alive)
+
+    def go_on_with(self, nodes: Iterable[tuple[str, int]]) -> None:
+        """These are in service, and what they have told still counts."""
+        self._alive.update(nodes)

@@ -7,11 +7,12 @@ were keeps its samples and its node.
 import datetime
 import logging
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 
 from trueangle.config import DaemonConfig
 from trueangle.contract.encoder import EncoderSettings
 from trueangle.core.calendar_day import LatestDay
+from trueangle.core.carry_over import CarriedOver, NodeKey, carried_over
 from trueangle.core.frames import NodePlan
 from trueangle.core.health import NodeCondition, StatusBit
 from trueangle.core.node_setup import NodeReport, NodeState
@@ -50,19 +51,20 @@ class Arrangement:
         loaded: Loaded,
         *,
         publish: Callable[[RegisterImage], None],
-        distrust: Callable[[str, int, str], None] | None = None,
+        on_clash: Callable[[str, int, str], None],
     ) -> None:
-        """`distrust(bus, node_id, reason)` asks for a node to be identified anew."""
-        self._distrust = distrust
+        """`on_clash(bus, node_id, reason)` asks for a node to be identified anew."""
         self.config: DaemonConfig = loaded.config
         self.joints: Mapping[int, LoadedJoint] = {joint.config.slot: joint for joint in loaded.joints}
+        self._plans = {bus.name: node_plans(self.config.joints, bus.name) for bus in self.config.buses}
+        self._on_clash: Callable[[str, int, str], None] = on_clash
         self.pipeline = Pipeline(
             [joint_channel(joint) for joint in loaded.joints],
             RegisterMap([joint_identity(joint) for joint in loaded.joints]),
             publish=publish,
             on_status=self._on_status,
-            sensors=[(bus.name, plan) for bus in loaded.config.buses for plan in self.plans(bus.name)],
-            on_clash=self._on_clash,
+            sensors=[(bus, plan) for bus, plans in self._plans.items() for plan in plans],
+            on_clash=self._clash,
             today=LatestDay(lambda: datetime.datetime.now(datetime.UTC).date()),
         )
         now_ns = time.monotonic_ns()
@@ -73,34 +75,40 @@ class Arrangement:
         """Since when each node is in its state, monotonic."""
         self.buses_down: dict[str, str] = {}
 
-    def take_over(self, previous: "Arrangement", buses: Mapping[str, bool]) -> frozenset[int]:
-        """Go on where `previous` ends; gives the slots of the joints that go on as if nothing had happened.
+    def take_over(self, previous: "Arrangement", buses: Mapping[str, bool]) -> CarriedOver:
+        """Go on where `previous` ends; gives what goes on as if nothing had happened.
 
         `buses`: those that stay open, each up or not. `previous` must not be used again.
         """
-        kept = frozenset(
+        unchanged = {
             slot
             for slot, joint in self.joints.items()
             if joint.config.bus in buses
             and slot in previous.joints
             and joint.config == previous.joints[slot].config
             and joint.model.sha256 == previous.joints[slot].model.sha256
-        )
-        self.pipeline.take_over(previous.pipeline.hand_on(), buses=buses, slots=kept)
-        for slot in kept:
+        }
+        kept = carried_over(unchanged, previous.node_plans(buses), self.node_plans(buses))
+        state = previous.pipeline.hand_on()
+        self.pipeline.take_over(state, buses=buses, slots=kept.slots, nodes=kept.nodes)
+        for slot in kept.slots:
             self.node_state[slot] = previous.node_state[slot]
             self.node_since_ns[slot] = previous.node_since_ns[slot]
         for slot, outage in previous.outages.items():
             if slot in self.joints and self.joints[slot].config.name == previous.joints[slot].config.name:
                 self.outages[slot] = outage
-                if slot not in kept:
+                if slot not in kept.slots:
                     outage.restart(time.monotonic_ns())
         self.buses_down = {name: text for name, text in previous.buses_down.items() if name in buses}
         return kept
 
+    def node_plans(self, buses: Collection[str]) -> dict[NodeKey, NodePlan]:
+        """What the nodes of these buses are to send."""
+        return {(bus, plan.node_id): plan for bus in self._plans.keys() & buses for plan in self._plans[bus]}
+
     def plans(self, bus: str) -> list[NodePlan]:
         """What the nodes of this bus are to send."""
-        return node_plans(self.config.joints, bus)
+        return self._plans[bus]
 
     def process_data(self, bus: str) -> frozenset[int]:
         """The COB-IDs on this bus that are the pipeline's."""
@@ -135,14 +143,13 @@ class Arrangement:
         )
 
     def on_sensor(self, bus: str, node_id: int, report: NodeReport) -> None:
-        """The life cycle of a node, whatever it measures, moved on."""
+        """The life cycle of any node moved on; those without an encoder are told so alone."""
         condition = _CONDITIONS.get(report.state, NodeCondition.NOT_READY)
         self.pipeline.on_sensor(bus, node_id, condition, time.monotonic_ns())
 
-    def _on_clash(self, slot: int, reason: str) -> None:
-        if self._distrust is not None:
-            joint = self.joints[slot].config
-            self._distrust(joint.bus, joint.node_id, reason)
+    def _clash(self, slot: int, reason: str) -> None:
+        joint = self.joints[slot].config
+        self._on_clash(joint.bus, joint.node_id, reason)
 
     def accept(self, slot: int, settings: EncoderSettings) -> list[str]:
         """Why this encoder must not be corrected with the joint's model; empty where it may."""

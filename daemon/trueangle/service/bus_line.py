@@ -10,9 +10,10 @@ from typing import Self
 
 from trueangle.config import BusConfig
 from trueangle.contract.encoder import EncoderSettings
-from trueangle.core.frames import NodePlan, Quantity
+from trueangle.core.carry_over import NodeKey
+from trueangle.core.frames import Quantity
 from trueangle.core.health import ServiceBit
-from trueangle.core.node_setup import NodeReport, NodeState
+from trueangle.core.node_setup import NodeReport
 from trueangle.core.pipeline import Frame
 from trueangle.edges.can_bus import BusCounters, CanBus
 from trueangle.edges.can_master import CanMaster
@@ -28,13 +29,14 @@ class BusLine:
         self._arrangement: Arrangement | None = arrangement
         """None: the bus is about to be closed, and nothing of it counts any more."""
         self._dropped = 0
-        self._plans = {plan.node_id: plan for plan in arrangement.plans(settings.name)}
+        plans = arrangement.plans(settings.name)
+        self._node_ids = frozenset(plan.node_id for plan in plans)
         self._bus = CanBus(
             settings, on_frames=self._on_frames, on_bus_state=self._on_bus_state, on_sync=self._on_sync
         )
         self._master = CanMaster(
             self._bus,
-            list(self._plans.values()),
+            plans,
             on_node=self._on_node,
             accept=self._accept,
             accept_head=self._accept_head,
@@ -60,42 +62,30 @@ class BusLine:
         """What happened on the bus since it was first opened."""
         return self._bus.counters
 
-    def rearrange(self, arrangement: Arrangement, kept: frozenset[int]) -> None:
-        """Tell this arrangement from now on; nodes that serve only slots in `kept` go on, others begin."""
+    def service_bits(self, now_ns: int) -> ServiceBit:
+        """What speaks against the bus although it is open; asked from time to time, logs beginning and end."""
+        return self._bus.service_bits(now_ns)
+
+    def rearrange(self, arrangement: Arrangement, kept: frozenset[NodeKey]) -> None:
+        """Tell this arrangement from now on; the nodes in `kept` go on, others leave or begin anew."""
         self._arrangement = arrangement
-        plans = {plan.node_id: plan for plan in arrangement.plans(self.settings.name)}
-        staying = {
-            node_id for node_id, plan in plans.items() if self._plans.get(node_id) == plan and plan.slots <= kept
-        }
-        self._rearrange_nodes(plans, staying)
-        self._bus.listen_to(self._master.cob_ids | arrangement.process_data(self.settings.name))
-        for node_id in plans.keys() - staying:
-            # Until it reports: of what it said to the arrangement before, nothing counts.
-            unknown = NodeReport(state=NodeState.UNKNOWN, head=plans[node_id].head)
-            arrangement.on_sensor(self.settings.name, node_id, unknown)
-            slot = plans[node_id].slot
-            if slot is not None:
-                arrangement.on_node(slot, unknown)
+        name = self.settings.name
+        staying = {node_id for bus, node_id in kept if bus == name}
+        plans = arrangement.plans(name)
+        coming = [plan for plan in plans if plan.node_id not in staying]
+        self._master.rearrange(leaving=self._node_ids - staying, coming=coming)
+        self._node_ids = frozenset(plan.node_id for plan in plans)
+        self._bus.listen_to(self._master.cob_ids | arrangement.process_data(name))
 
     def detach(self) -> None:
         """Nothing that comes by this bus counts any more, its nodes are left alone; it stays to be closed."""
         self._arrangement = None
-        self._rearrange_nodes({}, set())
-
-    def _rearrange_nodes(self, plans: dict[int, NodePlan], staying: set[int]) -> None:
-        self._master.rearrange(
-            leaving=self._plans.keys() - staying,
-            coming=[plan for node_id, plan in plans.items() if node_id not in staying],
-        )
-        self._plans = plans
+        self._master.rearrange(leaving=self._node_ids, coming=())
+        self._node_ids = frozenset[int]()
 
     def distrust_node(self, node_id: int, reason: str) -> None:
         """Frames of this node cast doubt on it: it is identified again."""
         self._master.distrust_node(node_id, reason)
-
-    def service_bits(self, now_ns: int) -> ServiceBit:
-        """What speaks against the bus although it is open; asked from time to time."""
-        return self._bus.service_bits(now_ns)
 
     def _on_frames(self, frames: list[Frame]) -> None:
         arrangement, master, name = self._arrangement, self._master, self.settings.name

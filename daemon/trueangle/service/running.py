@@ -61,9 +61,7 @@ class Service:
             ),
             refresh=lambda: self._arrangement.pipeline.tick(time.monotonic_ns()),
         )
-        self._arrangement = Arrangement(
-            Loaded(config=config, joints=joints), publish=self._publish, distrust=self._distrust
-        )
+        self._arrangement = self._arranged(Loaded(config=config, joints=joints))
         self._lines: dict[str, BusLine] = {}
         self._leaving: list[BusLine] = []
         """Detached lines that are not closed yet."""
@@ -140,23 +138,18 @@ class Service:
             await asyncio.sleep(TICK_S)
             now_ns = time.monotonic_ns()
             arrangement = self._arrangement
-            self._ask_buses(now_ns)
+            arrangement.pipeline.service_bits = self._service_bits(now_ns)
             last_ns = arrangement.pipeline.last_image_ns
             if last_ns is None or now_ns - last_ns >= TICK_S * 1e9:
                 arrangement.pipeline.tick(now_ns)
             arrangement.tick(now_ns)
             self._tell_systemd(now_ns)
 
-    def _ask_buses(self, now_ns: int) -> None:
-        """What speaks against a bus that is open shows in the service's own status."""
-        pipeline = self._arrangement.pipeline
-        pipeline.service_bits &= ~(ServiceBit.BUS_DEGRADED | ServiceBit.FRAMES_DROPPED)
+    def _service_bits(self, now_ns: int) -> ServiceBit:
+        bits = ServiceBit.RELOAD_REFUSED if self.reloads.refusal else ServiceBit(0)
         for line in self._lines.values():
-            pipeline.service_bits |= line.service_bits(now_ns)
-
-    def _distrust(self, bus: str, node_id: int, reason: str) -> None:
-        if bus in self._lines:
-            self._lines[bus].distrust_node(node_id, reason)
+            bits |= line.service_bits(now_ns)
+        return bits
 
     async def _until_stopped(self, tasks: asyncio.TaskGroup) -> None:
         loading: asyncio.Task[Arrangement | list[str]] | None = None
@@ -194,16 +187,24 @@ class Service:
         loaded = self._load_again()
         if faults := restart_faults(running, loaded.config):
             raise ContractError(faults)
-        return Arrangement(loaded, publish=self._publish, distrust=self._distrust)
+        return self._arranged(loaded)
+
+    def _arranged(self, loaded: Loaded) -> Arrangement:
+        return Arrangement(loaded, publish=self._publish, on_clash=self._on_clash)
+
+    def _on_clash(self, bus: str, node_id: int, reason: str) -> None:
+        if bus in self._lines:
+            self._lines[bus].distrust_node(node_id, reason)
 
     async def _conclude(self, loaded: Arrangement | list[str]) -> None:
         if isinstance(loaded, Arrangement):
             await self._swap(loaded)
         else:
             self.reloads.refuse(loaded)
-            self._arrangement.pipeline.service_bits |= ServiceBit.RELOAD_REFUSED
+        now_ns = time.monotonic_ns()
+        self._arrangement.pipeline.service_bits = self._service_bits(now_ns)
+        self._arrangement.pipeline.tick(now_ns)
         self._ready_owed = True
-        self._status_ns = 0
 
     async def _swap(self, new: Arrangement) -> None:
         """The new arrangement in place of the old; no frame and no request comes between until the first await."""
@@ -211,23 +212,24 @@ class Service:
         settings = {bus.name: bus for bus in new.config.buses}
         staying = {name: line for name, line in self._lines.items() if settings.get(name) == line.settings}
         kept = new.take_over(old, {name: line.up for name, line in staying.items()})
-        new.pipeline.service_bits &= ~ServiceBit.RELOAD_REFUSED
         for name, line in self._lines.items():
             if name in staying:
-                line.rearrange(new, kept)
+                line.rearrange(new, kept.nodes)
             else:
                 line.detach()
                 self._leaving.append(line)
         self._arrangement, self._lines = new, staying
         new.pipeline.tick(time.monotonic_ns())
-        _tell_unbound(joint for slot, joint in new.joints.items() if slot not in kept)
+        _tell_unbound(joint for slot, joint in new.joints.items() if slot not in kept.slots)
         # One channel may be the old bus and the new one: closed first.
         while self._leaving:
             await self._leaving[0].__aexit__(None, None, None)
             self._leaving.pop(0)
         await self._open_lines()
         gone = sorted(old.joints.keys() - new.joints.keys())
-        self.reloads.done(time.monotonic_ns(), kept=len(kept), anew=len(new.joints) - len(kept), gone=gone)
+        self.reloads.done(
+            time.monotonic_ns(), kept=len(kept.slots), anew=len(new.joints) - len(kept.slots), gone=gone
+        )
 
     def _publish(self, image: RegisterImage) -> None:
         self._server.publish(image)

@@ -117,15 +117,15 @@ class CanMaster:
 
     async def __aenter__(self) -> Self:
         await self._tasks.__aenter__()
-        self._lives = {slot: self._tasks.create_task(node.live()) for slot, node in self._nodes.items()}
+        self._lives = {node_id: self._tasks.create_task(node.live()) for node_id, node in self._nodes.items()}
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for slot, node in self._nodes.items():
+        for node_id, node in self._nodes.items():
             node.close()
-            self._lives[slot].cancel()
+            self._lives[node_id].cancel()
         try:
             # The group needs to see its own cancellation of the body; the body's errors stay the body's.
             if isinstance(error, asyncio.CancelledError):
