@@ -10,9 +10,10 @@ import configparser
 import io
 import warnings
 from pathlib import Path
+from typing import cast
 
 import canopen
-from canopen.objectdictionary import ODVariable, import_od
+from canopen.objectdictionary import ODArray, ODRecord, ODVariable, import_od
 
 from trueangle.contract.errors import ContractError, Fault
 from trueangle.core.frames import MappedObject, NodePlan
@@ -91,12 +92,12 @@ def _against(wanted: MappedObject, sheet: canopen.ObjectDictionary, *, to_be_map
 
 
 def _variable(sheet: canopen.ObjectDictionary, index: int, subindex: int) -> ODVariable | None:
-    if index not in sheet.indices:
-        return None
-    found = sheet.indices[index]
-    if isinstance(found, ODVariable):
+    indices = cast("dict[int, ODVariable | ODArray | ODRecord]", sheet.indices)  # pyright: ignore[reportUnknownMemberType]
+    found = indices.get(index)
+    if found is None or isinstance(found, ODVariable):
         return found if subindex == 0 else None
-    return found.subindices.get(subindex)
+    members = cast("dict[int, ODVariable]", found.subindices)  # pyright: ignore[reportUnknownMemberType]
+    return members.get(subindex)
 
 
 def _unreadable(path: Path, expected: str, found: str) -> ContractError:
