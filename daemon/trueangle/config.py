@@ -18,7 +18,6 @@ from trueangle.contract.encoder import MAX_COUNTS_PER_REV, EncoderSettings
 from trueangle.contract.errors import ContractError, Fault
 from trueangle.contract.metadata import Hash
 from trueangle.core.frames import Trigger
-from trueangle.core.serving import WhenNotValid
 
 SCHEMA_VERSION = 1
 MAX_SLOT = 32
@@ -347,12 +346,21 @@ class MotionConfig:
     """Consistent samples before an absolute encoder is believed again after a spike."""
 
 
+class StandIn(enum.Enum):
+    """What a corrected register holds without VALID."""
+
+    MARKER = "marker"
+    HOLD = "hold"
+    """The last good angle, through silence."""
+    RAW = "raw"
+    """The angle without correction."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WhenNotValidConfig:
     """What the corrected registers hold without VALID."""
 
-    policy: WhenNotValid = WhenNotValid.MARKER
-    """marker; hold: the last good angle through silence; raw: the angle without correction."""
+    policy: StandIn = StandIn.MARKER
     hold_ms: Annotated[float, Range(minimum=1, maximum=60_000)] | None = None
     """Greatest age of a held angle, counted from its sample."""
     allow_raw: bool = False
@@ -360,11 +368,11 @@ class WhenNotValidConfig:
 
     def __post_init__(self) -> None:
         faults: list[Fault] = []
-        if (self.policy is WhenNotValid.HOLD) != (self.hold_ms is not None):
-            expected = "given with policy hold and only with it"
+        if (self.policy is StandIn.HOLD) != (self.hold_ms is not None):
+            expected = "hold_ms with policy hold and only with it"
             faults.append(Fault(where="hold_ms", expected=expected, found=f"policy {self.policy.value}"))
-        if (self.policy is WhenNotValid.RAW) != self.allow_raw:
-            expected = "true with policy raw and only with it"
+        if (self.policy is StandIn.RAW) != self.allow_raw:
+            expected = "allow_raw: true with policy raw and only with it"
             faults.append(Fault(where="allow_raw", expected=expected, found=f"policy {self.policy.value}"))
         if faults:
             raise ContractError(faults)

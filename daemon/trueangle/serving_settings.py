@@ -8,7 +8,7 @@ from trueangle.contract.encoder import EncoderSettings
 from trueangle.contract.metadata import CalibrationRecord
 from trueangle.core.pipeline import HeadChannel, JointChannel
 from trueangle.core.position import Mechanics, MotionLimits
-from trueangle.core.serving import ServingPolicy
+from trueangle.core.serving import ServingPolicy, WhenNotValid
 from trueangle.core.temperature_watch import TemperatureLimits
 from trueangle.process_data import head_plans
 
@@ -35,7 +35,7 @@ def served_as_configured(
             serve_past_due=joint.serve_past_due,
         ),
         policy=ServingPolicy(
-            when_not_valid=joint.when_not_valid.policy,
+            when_not_valid=WhenNotValid(joint.when_not_valid.policy.value),
             hold_ms=joint.when_not_valid.hold_ms or 0.0,
             latency_max_ms=None if latency is None else latency.max_ms,
         ),
