@@ -113,7 +113,7 @@ class NodePlan:
     polls: tuple[PolledObject, ...] = ()
     expected: tuple[ExpectedValue, ...] = ()
     head: int = 0
-    """Which reading head of the joint it is: 0 the first, 1 to 3 a further one."""
+    """Which reading head of its joint it is: 0 for the first."""
 
 
 LAST_SYNCHRONOUS_TYPE = 240

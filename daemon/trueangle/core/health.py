@@ -97,7 +97,7 @@ SERVICE_MEANING: dict[ServiceBit, str] = {
     ServiceBit.FRAMES_DROPPED: "frames of a CAN bus were dropped before they were read",
     ServiceBit.BUS_DEGRADED: "a CAN controller warns of errors or is error-passive",
     ServiceBit.RECORDER_STOPPED: "the recorder is configured and does not write",
-    ServiceBit.RELOAD_REFUSED: "the last reload was refused; the configuration before it is in force",
+    ServiceBit.RELOAD_REFUSED: "the last reload was refused: configuration and models of before are in force",
     ServiceBit.COMMANDS_ENABLED: "this daemon takes commands",
 }
 

@@ -167,6 +167,10 @@ class Arrangement:
         """The same for one of the joint's further heads."""
         return head_differences(self.joints[slot].config, head, settings)
 
+    def accept_head(self, slot: int, head: int, settings: EncoderSettings) -> list[str]:
+        """The same for a further reading head of the joint."""
+        return head_differences(self.joints[slot].config, head, settings)
+
     def _on_status(self, slot: int, before: StatusBit, after: StatusBit) -> None:
         del before  # the outage log keeps its own account
         _say(self.outages[slot].change(after, time.monotonic_ns()))

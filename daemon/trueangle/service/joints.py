@@ -5,6 +5,7 @@ while the service goes on.
 """
 
 import datetime
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,9 +20,12 @@ from trueangle.core.pipeline import JointChannel
 from trueangle.core.registers import JointIdentity
 from trueangle.core.sample import SampleScale
 from trueangle.edges.can_bus import bus_faults
+from trueangle.edges.can_master.eds import eds_objections, load_eds
 from trueangle.edges.onnx_model import OnnxModel, load_model
 from trueangle.process_data import node_plan, plan_faults
 from trueangle.serving_settings import count_differences, served_as_configured
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +74,7 @@ def load_joints(config: DaemonConfig, *, base: Path, source: str) -> tuple[Loade
 
     Model paths are relative to `base`, the configuration file's directory.
     """
-    faults: list[Fault] = []
+    faults = _data_sheet_faults(config, base)
     loaded: list[LoadedJoint] = []
     for i, joint in enumerate(config.joints):
         try:
@@ -84,6 +88,22 @@ def load_joints(config: DaemonConfig, *, base: Path, source: str) -> tuple[Loade
     if faults:
         raise ContractError(faults)
     return tuple(loaded)
+
+
+def _data_sheet_faults(config: DaemonConfig, base: Path) -> list[Fault]:
+    """Data sheets that cannot be read; where one disagrees with the plan, the node itself has the last word."""
+    faults: list[Fault] = []
+    for joint in config.joints:
+        if joint.eds is None:
+            continue
+        try:
+            sheet = load_eds(base / joint.eds, joint.node_id)
+        except ContractError as error:
+            faults += error.faults
+            continue
+        for objection in eds_objections(node_plan(joint), sheet):
+            _log.warning("event=eds_disagrees joint=%r eds=%s reason=%r", joint.name, joint.eds, objection)
+    return faults
 
 
 def _models_used_twice(loaded: list[LoadedJoint], source: str) -> list[Fault]:

@@ -46,11 +46,12 @@ class CanMaster:
         accept_head: Callable[[int, int, EncoderSettings], list[str]] | None = None,
         timing: MasterTiming | None = None,
     ) -> None:
-        self._bus, self._on_node, self._accept, self._accept_head = bus, on_node, accept, accept_head
+        self._bus, self._on_node, self._accept = bus, on_node, accept
+        self._on_sensor, self._on_value, self._on_alive = on_sensor, on_value, on_alive
+        self._accept_head = accept_head
         self._timing = timing or MasterTiming()
         # canopen warns at each SDO time-out, twice a second while a node is away; the transition is logged here.
         logging.getLogger("canopen.sdo.client").setLevel(logging.CRITICAL)
-        self._on_sensor, self._on_value, self._on_alive = on_sensor, on_value, on_alive
         self._threads = ThreadPoolExecutor(MAX_SDO_THREADS, "sdo")
         self._bus_up: tuple[bool, str] = (False, "not open yet")
         self._nodes = {plan.node_id: self._supervisor(plan) for plan in plans}
@@ -73,15 +74,7 @@ class CanMaster:
             if self._on_sensor is not None:
                 self._on_sensor(node_id, report)
 
-        def on_value(slot: int, quantity: Quantity, value: int, stamp_ns: int) -> None:
-            if self._on_value is not None:
-                self._on_value(slot, quantity, value, stamp_ns)
-
-        def on_alive(stamp_ns: int) -> None:
-            if self._on_alive is not None:
-                self._on_alive(node_id, stamp_ns)
-
-        def accept_settings(settings: EncoderSettings) -> list[str]:
+        def accept(settings: EncoderSettings) -> list[str]:
             if slot is None:
                 return []
             if plan.head == 0:
@@ -90,11 +83,15 @@ class CanMaster:
                 return ["nobody knows this head"]
             return self._accept_head(slot, plan.head, settings)
 
+        def on_value(value_slot: int, quantity: Quantity, value: int, stamp_ns: int) -> None:
+            if self._on_value is not None:
+                self._on_value(value_slot, quantity, value, stamp_ns)
+
         return NodeListener(
             on_report=on_report,
-            accept=accept_settings,
+            accept=accept,
             on_value=on_value,
-            on_alive=on_alive,
+            on_alive=lambda stamp_ns: None if self._on_alive is None else self._on_alive(node_id, stamp_ns),
         )
 
     def _lay_routes(self) -> None:
@@ -103,7 +100,7 @@ class CanMaster:
         }
 
     def rearrange(self, *, leaving: Collection[int], coming: Sequence[NodePlan]) -> None:
-        """End the lives of the nodes that leave and begin those that come, between two frames; the others go on.
+        """End the lives of the node-ids that leave, begin those that come, between two frames; the others go on.
 
         What a leaving node says is not heard any more when this returns, and nothing is reported of it.
         """
@@ -157,7 +154,8 @@ class CanMaster:
 
     def distrust_node(self, node_id: int, reason: str) -> None:
         """Frames of this node cast doubt on it: it is identified again."""
-        self._nodes[node_id].distrust(reason)
+        if node_id in self._nodes:
+            self._nodes[node_id].distrust(reason)
 
     @property
     def cob_ids(self) -> frozenset[int]:
