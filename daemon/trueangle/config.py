@@ -3,6 +3,8 @@
 Every fault is reported with file and line; unknown keys are faults. Units stand in the key names.
 """
 
+import enum
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +16,7 @@ from trueangle.contract.document import Pattern, Range, read_document, structure
 from trueangle.contract.encoder import MAX_COUNTS_PER_REV, EncoderSettings
 from trueangle.contract.errors import ContractError, Fault
 from trueangle.contract.metadata import Hash
+from trueangle.core.frames import Trigger
 
 SCHEMA_VERSION = 1
 MAX_SLOT = 32
@@ -57,6 +60,48 @@ class BusConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class TpdoConfig:
+    """What makes a node send a value."""
+
+    trigger: Trigger = Trigger.SYNC
+    """sync: with SYNC; timer: by its own event timer; event: on change, and by the event timer."""
+    period_ms: Annotated[int, Range(minimum=1, maximum=65_535)] | None = None
+    """The event timer, 0x1800:5 or 0x6200; the value is sent at the latest after so long."""
+    transmission_type: Annotated[int, Range(minimum=254, maximum=255)] = 255
+    """Of timer and event: 255 is the profile's own event, 254 the maker's."""
+
+    def __post_init__(self) -> None:
+        if self.trigger is Trigger.SYNC and self.period_ms is not None:
+            expected = "no period with trigger sync"
+            raise ContractError([Fault(where="period_ms", expected=expected, found=str(self.period_ms))])
+        if self.trigger is Trigger.TIMER and self.period_ms is None:
+            raise ContractError([Fault(where="trigger", expected="period_ms with trigger timer", found="none")])
+
+
+class Supervision(enum.Enum):
+    """How it is known that a node lives."""
+
+    HEARTBEAT = "heartbeat"
+    POLL = "poll"
+    """It has no heartbeat (0x1017): it is asked by SDO."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TemperatureStatusConfig:
+    """What the sensor's electronics say of the temperature: anything but 0 is a broken sensor."""
+
+    index: Index
+    """0x6150 of CiA 404."""
+    subindex: Subindex
+    bits: int = 8
+    poll_ms: Annotated[int, Range(minimum=10, maximum=3_600_000)] | None = None
+    """Read by SDO so often; left out, it is mapped beside the temperature."""
+
+    def __post_init__(self) -> None:
+        _check_bits(self.bits)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TemperatureConfig:
     """The object that holds the joint's temperature: never guessed, CANopen knows no common one."""
 
@@ -73,15 +118,39 @@ class TemperatureConfig:
     maximum_c: float = 125.0
     """A value outside is a broken sensor, not a temperature (defaults: range of the DS18B20)."""
     stale_s: Annotated[float, Range(minimum=0.01, maximum=3600)] = 10.0
+    node_id: Annotated[int, Range(minimum=1, maximum=127)] | None = None
+    """The node on the joint's bus that measures it; left out, the encoder does."""
+    tpdo: TpdoConfig = field(default_factory=TpdoConfig)
+    poll_ms: Annotated[int, Range(minimum=10, maximum=3_600_000)] | None = None
+    """Read by SDO so often instead of being mapped: for units that cannot map it."""
+    status: TemperatureStatusConfig | None = None
+    check_digits: bool = True
+    """Compare degc_per_unit with the node's decimal digits, 0x6132 (index 0x7130 or 0x9130 of CiA 404)."""
 
     def __post_init__(self) -> None:
         _check_bits(self.bits)
+        polled = [("poll_ms", self.poll_ms)]
+        polled += [("status.poll_ms", self.status.poll_ms)] if self.status is not None else []
+        for where, poll_ms in polled:
+            if poll_ms is not None and self.stale_s * 1000 <= poll_ms:
+                expected = f"less than stale_s ({self.stale_s:g} s)"
+                raise ContractError([Fault(where=where, expected=expected, found=f"{poll_ms} ms")])
+        if self.digits is not None and not math.isclose(self.degc_per_unit, 10.0**-self.digits):
+            expected = "1, 0.1, 0.01, ... as CiA 404 has it, or check_digits: false"
+            raise ContractError([Fault(where="degc_per_unit", expected=expected, found=f"{self.degc_per_unit:g}")])
         if 0x6000 <= self.index <= 0x65FF:
             found = f"0x{self.index:04X}, an object of the encoder profile CiA 406"
             raise ContractError([Fault(where="index", expected="the object of a temperature", found=found)])
         if self.maximum_c <= self.minimum_c:
             expected = f"more than minimum_c ({self.minimum_c:g})"
             raise ContractError([Fault(where="maximum_c", expected=expected, found=f"{self.maximum_c:g}")])
+
+    @property
+    def digits(self) -> int | None:
+        """The decimal digits that the node must have in 0x6132 (CiA 404); None: not to be compared."""
+        if not self.check_digits or self.index not in (0x7130, 0x9130):
+            return None
+        return max(0, round(-math.log10(self.degc_per_unit)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,6 +197,24 @@ class JointConfig:
     stale_ms: Annotated[float, Range(minimum=1, maximum=60_000)] = 50.0
     """A position older than this is not served as corrected."""
     heartbeat_ms: Annotated[int, Range(minimum=10, maximum=10_000)] = 200
+    """The heartbeat asked of the node; with supervision poll, how often it is asked by SDO."""
+    supervision: Supervision = Supervision.HEARTBEAT
+    tpdo: TpdoConfig = field(default_factory=TpdoConfig)
+    """What makes the encoder send its position."""
+    configure: bool = True
+    """False: the node is never written to; what it is set to must already be right."""
+    eds: str | None = None
+    """Path of the encoder's EDS, relative to the configuration file: wrong objects are told before the start."""
+
+    def __post_init__(self) -> None:
+        period_ms = self.tpdo.period_ms
+        if self.tpdo.trigger is Trigger.EVENT and period_ms is None:
+            # A position that stands still could not be told from a dead encoder.
+            expected = "period_ms, for the time in which the position does not change"
+            raise ContractError([Fault(where="tpdo", expected=expected, found="none")])
+        if period_ms is not None and self.stale_ms <= period_ms:
+            expected = f"more than tpdo.period_ms ({period_ms})"
+            raise ContractError([Fault(where="stale_ms", expected=expected, found=f"{self.stale_ms:g}")])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,7 +246,7 @@ class DaemonConfig:
             if joint.bus not in names:
                 expected = f"one of the buses: {', '.join(sorted(names))}"
                 faults.append(Fault(where=f"joints[{i}].bus", expected=expected, found=joint.bus))
-            period_ms = periods.get(joint.bus)
+            period_ms = periods.get(joint.bus) if joint.tpdo.trigger is Trigger.SYNC else None
             if period_ms is not None and joint.stale_ms <= period_ms:
                 expected = f"more than the sync_period_ms of its bus ({period_ms:g})"
                 where = f"joints[{i}].stale_ms"

@@ -9,3 +9,7 @@ class LinkError(TrueangleError):
 
 class NodeFault(TrueangleError):
     """A node answers, but not as it must: its joint is taken out of service and the node set up again."""
+
+
+class NodeClash(NodeFault):
+    """Two nodes answer to one node-id: whose frame is whose is unknown, so neither is believed."""

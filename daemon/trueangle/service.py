@@ -19,8 +19,8 @@ from trueangle.config import DaemonConfig, JointConfig
 from trueangle.contract.encoder import EncoderSettings
 from trueangle.contract.errors import ContractError, Fault
 from trueangle.contract.metadata import Interval
-from trueangle.core.frames import POSITION_OBJECT, MappedObject, NodePlan, Quantity, TpdoPlan
-from trueangle.core.health import Limits, NodeCondition, StatusBit
+from trueangle.core.frames import Trigger
+from trueangle.core.health import INFORMATION, Limits, NodeCondition, StatusBit
 from trueangle.core.node_setup import NodeReport, NodeState
 from trueangle.core.pipeline import Frame, JointChannel, Pipeline
 from trueangle.core.registers import JointIdentity, RegisterImage, RegisterMap
@@ -30,6 +30,7 @@ from trueangle.edges.can_master import CanMaster
 from trueangle.edges.modbus_server import ModbusLimits, ModbusTcpServer
 from trueangle.edges.onnx_model import OnnxModel, load_model
 from trueangle.edges.systemd import ServiceNotifier
+from trueangle.process_data import node_plan, node_plans, plan_faults
 
 TICK_S = 0.01
 """Ages in the registers are renewed at least this often, and a joint gone stale is marked within it."""
@@ -44,8 +45,9 @@ _CONDITIONS = {
     NodeState.RUNNING: NodeCondition.RUNNING,
     NodeState.REFUSED: NodeCondition.DIFFERS,
     NodeState.FAULT: NodeCondition.FAULT,
+    NodeState.CLASH: NodeCondition.ID_CLASH,
 }
-_DECIDED = (NodeState.RUNNING, NodeState.REFUSED, NodeState.FAULT, NodeState.LOST)
+_DECIDED = (NodeState.RUNNING, NodeState.REFUSED, NodeState.FAULT, NodeState.CLASH, NodeState.LOST)
 
 _log = logging.getLogger(__name__)
 
@@ -63,6 +65,7 @@ def check_buses(config: DaemonConfig, *, source: str) -> None:
     faults: list[Fault] = []
     for i, bus in enumerate(config.buses):
         faults += bus_faults(bus, where=f"{source}, buses[{i}]")
+    faults += plan_faults(config, source=source)
     if faults:
         raise ContractError(faults)
 
@@ -133,39 +136,6 @@ def encoder_differences(joint: LoadedJoint, found: EncoderSettings) -> list[str]
     return differences
 
 
-def node_plan(joint: JointConfig) -> NodePlan:
-    """The process data that this joint needs: position (and sequence) with each SYNC, temperature now and then."""
-    index, subindex = POSITION_OBJECT
-    position = [MappedObject(index=index, subindex=subindex, bits=32, quantity=Quantity.POSITION)]
-    if joint.sequence is not None:
-        position.append(
-            MappedObject(
-                index=joint.sequence.index,
-                subindex=joint.sequence.subindex,
-                bits=joint.sequence.bits,
-                quantity=Quantity.SEQUENCE,
-            )
-        )
-    temperature = MappedObject(
-        index=joint.temperature.index,
-        subindex=joint.temperature.subindex,
-        bits=joint.temperature.bits,
-        quantity=Quantity.TEMPERATURE,
-        signed=joint.temperature.signed,
-    )
-    # COB-IDs of the pre-defined connection set (CiA 301, 7.3.3).
-    tpdos = (
-        TpdoPlan(number=1, cob_id=0x180 + joint.node_id, transmission_type=1, mapping=tuple(position)),
-        TpdoPlan(
-            number=2,
-            cob_id=0x280 + joint.node_id,
-            transmission_type=joint.temperature.every_syncs,
-            mapping=(temperature,),
-        ),
-    )
-    return NodePlan(slot=joint.slot, node_id=joint.node_id, tpdos=tpdos, heartbeat_ms=joint.heartbeat_ms)
-
-
 def joint_channel(joint: LoadedJoint) -> JointChannel:
     """What the pipeline needs of a joint."""
     config, metadata = joint.config, joint.model.metadata
@@ -178,6 +148,9 @@ def joint_channel(joint: LoadedJoint) -> JointChannel:
             degc_per_unit=config.temperature.degc_per_unit,
             offset_c=config.temperature.offset_c,
             sequence_modulus=None if config.sequence is None else 1 << config.sequence.bits,
+            temperature_by_change=config.temperature.tpdo.trigger is Trigger.EVENT,
+            synchronous=config.tpdo.trigger is Trigger.SYNC,
+            position_period_ms=config.tpdo.period_ms if config.tpdo.trigger is Trigger.TIMER else None,
         ),
         limits=Limits(
             stale_ms=config.stale_ms,
@@ -187,6 +160,8 @@ def joint_channel(joint: LoadedJoint) -> JointChannel:
             model_temperature_c=metadata.valid_temperature_c,
         ),
         model=joint.model,
+        temperature_node=config.temperature.node_id,
+        temperature_has_status=config.temperature.status is not None,
     )
 
 
@@ -232,6 +207,8 @@ class Service:
             RegisterMap([joint_identity(joint) for joint in joints]),
             publish=self._publish,
             on_status=self._on_status,
+            sensors=[(bus.name, plan) for bus in config.buses for plan in node_plans(config.joints, bus.name)],
+            on_clash=self._on_clash,
         )
         self._masters: dict[str, CanMaster] = {}
         self._buses: dict[str, CanBus] = {}
@@ -285,8 +262,15 @@ class Service:
                 on_bus_state=lambda up, reason, name=name: self._on_bus_state(name, up=up, reason=reason),
                 on_sync=lambda stamp_ns, name=name: self._pipeline.on_sync(name, stamp_ns),
             )
-            plans = [node_plan(j.config) for j in self._joints.values() if j.config.bus == name]
-            master = CanMaster(bus, plans, on_node=self._on_node, accept=self._accept)
+            master = CanMaster(
+                bus,
+                node_plans(self._config.joints, name),
+                on_node=self._on_node,
+                accept=self._accept,
+                on_sensor=lambda node_id, report, name=name: self._on_sensor(name, node_id, report),
+                on_value=self._pipeline.on_value,
+                on_alive=lambda node_id, stamp_ns, name=name: self._pipeline.on_alive(name, node_id, stamp_ns),
+            )
             self._buses[name] = bus
             self._masters[name] = await stack.enter_async_context(master)
             await stack.enter_async_context(bus)
@@ -330,6 +314,14 @@ class Service:
         self._node_state[slot] = report.state
         self._node_since_ns[slot] = now_ns
         self._pipeline.on_node(slot, _CONDITIONS.get(report.state, NodeCondition.NOT_READY), now_ns)
+
+    def _on_sensor(self, bus: str, node_id: int, report: NodeReport) -> None:
+        condition = _CONDITIONS.get(report.state, NodeCondition.NOT_READY)
+        self._pipeline.on_sensor(bus, node_id, condition, time.monotonic_ns())
+
+    def _on_clash(self, slot: int, reason: str) -> None:
+        joint = self._joints[slot].config
+        self._masters[joint.bus].distrust_node(joint.node_id, reason)
 
     def _on_status(self, slot: int, before: StatusBit, after: StatusBit) -> None:
         now_ns = time.monotonic_ns()
@@ -386,5 +378,5 @@ class Service:
 
 def reasons(status: StatusBit) -> str:
     """The bits that speak against a joint, as words."""
-    against = status & ~(StatusBit.VALID | StatusBit.CONFIGURED)
+    against = status & ~(StatusBit.VALID | StatusBit.CONFIGURED | INFORMATION)
     return ",".join(bit.name.lower() for bit in against if bit.name) or "none"

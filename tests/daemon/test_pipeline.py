@@ -214,7 +214,7 @@ def test_silence_on_the_whole_bus_is_marked_by_the_tick() -> None:
     assert bench.fast(1)["age"] == 50
     bench.now_ns += MS
     bench.pipeline.tick(bench.now_ns)
-    assert bench.status(1) == StatusBit.CONFIGURED | StatusBit.STALE
+    assert bench.status(1) == StatusBit.CONFIGURED | StatusBit.STALE | StatusBit.SYNC_LOST
 
 
 def test_the_age_counts_from_sync_and_not_from_arrival() -> None:

@@ -61,7 +61,8 @@ FROZEN_GROUP_0_SLOT_2 = [
     (1150, "slot2.detail.product_code", "UINT32", "1", "", "0xFFFFFFFF"),
     (1152, "slot2.detail.revision_number", "UINT32", "1", "", "0xFFFFFFFF"),
     (1154, "slot2.detail.serial_number", "UINT32", "1", "", "0xFFFFFFFF"),
-    (1156, "slot2.detail.reserved", "reserved", "1", "", ""),
+    (1156, "slot2.detail.user_zero", "INT32", "0.001", "arcsec", "0x80000000"),
+    (1158, "slot2.detail.reserved", "reserved", "1", "", ""),
     (1168, "slot2.detail.cycle_counter_tail", "UINT32", "1", "", ""),
 ]
 

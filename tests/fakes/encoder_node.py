@@ -32,7 +32,8 @@ class EncoderNode(FakeDevice):
     extra_bytes: int = 0
     """Process data are so much longer than mapped; negative: shorter."""
     answers_sdo: bool = True
-    syncs_per_heartbeat: int = 5
+    syncs_per_heartbeat: int = 50
+    """The 500 ms of the tests' configuration at a SYNC every 10 ms; more often would be two nodes."""
     syncs: int = 0
     reads: list[Address] = field(default_factory=list[Address])
     """Objects uploaded by SDO, in order."""

@@ -19,6 +19,20 @@ class Quantity(enum.Enum):
     POSITION = "position"
     TEMPERATURE = "temperature"
     SEQUENCE = "sequence"
+    TEMPERATURE_STATUS = "temperature status"
+    """What the sensor's electronics say of the temperature; 0 is good (CiA 404, 0x6150)."""
+    REFERENCE = "reference"
+    """Whether an encoder without an absolute zero has passed its reference."""
+
+
+class Trigger(enum.Enum):
+    """What makes a node send a TPDO."""
+
+    SYNC = "sync"
+    TIMER = "timer"
+    """Its own event timer."""
+    EVENT = "event"
+    """A change of the value, and the event timer where nothing changes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,6 +44,8 @@ class MappedObject:
     bits: int
     quantity: Quantity
     signed: bool = False
+    slot: int | None = None
+    """The joint that it belongs to; None: that of the node."""
 
     @property
     def entry(self) -> int:
@@ -45,25 +61,62 @@ class TpdoPlan:
     """1..4"""
     cob_id: int
     transmission_type: int
-    """1..240: every that-many SYNC."""
+    """1..240: every that-many SYNC; 254, 255: by the node's own event."""
     mapping: tuple[MappedObject, ...]
+    event_timer_ms: int | None = None
+    """0x1800:5, sent at the latest after so long; None: not set and not asked for."""
 
     @property
     def length(self) -> int:
         """Length of the frame in bytes."""
         return sum(entry.bits for entry in self.mapping) // 8
 
+    @property
+    def synchronous(self) -> bool:
+        """Whether SYNC makes the node send it."""
+        return self.transmission_type <= LAST_SYNCHRONOUS_TYPE
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PolledObject:
+    """One object that is read by SDO in service, because it cannot be mapped or seldom changes."""
+
+    value: MappedObject
+    period_ms: int | None
+    """None: read once, when the node comes into service; from then on the node itself tells of changes."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExpectedValue:
+    """An object that must read so, or be absent, for the numbers of a node to mean what the configuration says."""
+
+    index: int
+    subindex: int
+    value: int
+    meaning: str
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NodePlan:
-    """All process data that one joint expects of its node."""
+    """All that is expected of one node."""
 
-    slot: int
-    """The joint's register slot, 1..32."""
+    slot: int | None
+    """The register slot, 1..32, of the joint whose encoder it is; None: it only measures temperature."""
     node_id: int
     tpdos: tuple[TpdoPlan, ...]
     heartbeat_ms: int
+    """The heartbeat asked of it; where it has none (`polled`), how often it is asked for life by SDO."""
+    polled: bool = False
+    """It has no heartbeat: that it lives is known only because it answers."""
+    as_found: bool = False
+    """Never written to: what it is set to must already be right."""
+    polls: tuple[PolledObject, ...] = ()
+    expected: tuple[ExpectedValue, ...] = ()
 
+
+LAST_SYNCHRONOUS_TYPE = 240
+"""Transmission types 1 to 240 are synchronous and cyclic (CiA 301, 7.5.2.35)."""
+PROFILE_EVENT_TYPE = 255
 
 _CODES = {
     (8, False): "B",
@@ -79,20 +132,40 @@ _CODES = {
 class FrameLayout:
     """How to read one COB-ID: struct of the whole frame and the meaning of each value."""
 
-    slot: int
+    slot: int | None
+    """The joint that every value belongs to; None: see `slots`."""
     length: int
     unpack: struct.Struct
     quantities: tuple[Quantity, ...]
+    slots: tuple[int, ...]
+    """The joint of each value."""
 
 
 def frame_layouts(plan: NodePlan) -> dict[int, FrameLayout]:
     """COB-ID to layout for one node; process data are little endian (CiA 301, 7.1.4)."""
-    return {
-        tpdo.cob_id: FrameLayout(
-            slot=plan.slot,
+    layouts: dict[int, FrameLayout] = {}
+    for tpdo in plan.tpdos:
+        slots = tuple(slot_of(plan, mapped) for mapped in tpdo.mapping)
+        layouts[tpdo.cob_id] = FrameLayout(
+            slot=plan.slot if set(slots) == {plan.slot} else None,
             length=tpdo.length,
             unpack=struct.Struct("<" + "".join(_CODES[o.bits, o.signed] for o in tpdo.mapping)),
             quantities=tuple(o.quantity for o in tpdo.mapping),
+            slots=slots,
         )
-        for tpdo in plan.tpdos
-    }
+    return layouts
+
+
+def slot_of(plan: NodePlan, mapped: MappedObject) -> int:
+    """The joint that this object of the node belongs to."""
+    slot = plan.slot if mapped.slot is None else mapped.slot
+    if slot is None:
+        raise ValueError(f"node {plan.node_id}: {mapped} belongs to no joint")
+    return slot
+
+
+def number_in(mapped: MappedObject, data: bytes) -> int | None:
+    """The value of an object as SDO told it; None where it has not the expected length."""
+    if len(data) * 8 != mapped.bits:
+        return None
+    return int.from_bytes(data, "little", signed=mapped.signed)

@@ -65,6 +65,8 @@ class NodeState(enum.Enum):
     """Silent, rebooted, stopped, or its bus is down."""
     FAULT = "fault"
     """Answers, but refuses its set-up or reports an error."""
+    CLASH = "clash"
+    """Two nodes answer to its node-id: no frame tells whose it is."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,6 +98,13 @@ class SdoWrite:
         return f"{shown(self.address)} = 0x{self.value:X}"
 
 
+CYCLIC_TIMER: Address = (0x6200, 0)
+"""The event timer of TPDO 1 where a unit has no 0x1800:5 (CiA 406)."""
+_EVENT_TIMER_SUBINDEX = 5
+_EVENT_TYPES = (254, 255)
+"""The maker's event and the profile's: with the event timer running, both send in time."""
+
+
 def shown(address: Address) -> str:
     """An object as people write it: 0x1A00:1."""
     return f"0x{address[0]:04X}:{address[1]}"
@@ -114,8 +123,20 @@ def cob_address(tpdo_number: int) -> Address:
     return (0x1800 + tpdo_number - 1, 1)
 
 
-def tpdo_writes(tpdo: TpdoPlan, found_cob: int) -> tuple[SdoWrite, ...]:
+def event_timer_addresses(tpdo: TpdoPlan) -> tuple[Address, ...]:
+    """Where the event timer of this TPDO may be; the first that the node has counts. Empty: none is wanted."""
+    if tpdo.event_timer_ms is None:
+        return ()
+    standard: Address = (0x1800 + tpdo.number - 1, 5)
+    return (standard, CYCLIC_TIMER) if tpdo.number == 1 else (standard,)
+
+
+def tpdo_writes(
+    tpdo: TpdoPlan, found_cob: int, event_timer: tuple[Address, int] | None = None
+) -> tuple[SdoWrite, ...]:
     """The downloads that set up one TPDO, given the COB-ID entry that the node has now.
+
+    `event_timer` is the object that the node has for it and its size in bytes, where one is to be set.
 
     The PDO is switched off with the bits that it has: bits 0..29 may not change while it is valid.
     """
@@ -124,12 +145,17 @@ def tpdo_writes(tpdo: TpdoPlan, found_cob: int) -> tuple[SdoWrite, ...]:
         SdoWrite(address=(mapping, position), value=mapped.entry, size=4)
         for position, mapped in enumerate(tpdo.mapping, start=1)
     )
+    timer: tuple[SdoWrite, ...] = ()
+    if event_timer is not None and tpdo.event_timer_ms is not None:
+        address, size = event_timer
+        timer = (SdoWrite(address=address, value=tpdo.event_timer_ms, size=size),)
     return (
         SdoWrite(address=(communication, 1), value=found_cob | COB_INVALID, size=4),
         SdoWrite(address=(mapping, 0), value=0, size=1),
         *entries,
         SdoWrite(address=(mapping, 0), value=len(entries), size=1),
         SdoWrite(address=(communication, 2), value=tpdo.transmission_type, size=1),
+        *timer,
         SdoWrite(address=(communication, 1), value=tpdo.cob_id | (found_cob & COB_NO_RTR), size=4),
     )
 
@@ -152,10 +178,21 @@ def readback_differences(expected: Mapping[Address, int], found: Mapping[Address
     differences: list[str] = []
     for address, want in expected.items():
         got = found.get(address)
-        if got is not None and address[1] == 1 and 0x1800 <= address[0] < 0x1A00:
-            got &= ~COB_NO_RTR
-        if got != want:
+        if got is None or not _serves(address, want, got):
             differences.append(
                 f"{shown(address)} expected 0x{want:X} found {'nothing' if got is None else f'0x{got:X}'}"
             )
     return differences
+
+
+def _serves(address: Address, want: int, got: int) -> bool:
+    """Whether the value found does what the wanted one would."""
+    index, subindex = address
+    if 0x1800 <= index < 0x1A00:
+        if subindex == 1:
+            return got & ~COB_NO_RTR == want
+        if subindex == 2 and want in _EVENT_TYPES:
+            return got in _EVENT_TYPES
+        if subindex == _EVENT_TIMER_SUBINDEX:
+            return 0 < got <= want
+    return 0 < got <= want if address == CYCLIC_TIMER else got == want

@@ -7,21 +7,42 @@ is seen, from its arrival. Nothing here waits, sleeps or raises for a bad joint:
 word, the others go on.
 """
 
+import datetime
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from trueangle.core.calendar_day import is_past_due
+from trueangle.core.clash import ClashLatch
 from trueangle.core.correction import Correction, CorrectionModel, correct_one
-from trueangle.core.frames import FrameLayout, NodePlan, frame_layouts
+from trueangle.core.frames import FrameLayout, NodePlan, Quantity, frame_layouts
+from trueangle.core.heads import HeadFusion
 from trueangle.core.health import Evidence, Limits, NodeCondition, ServiceBit, StatusBit, judge
+from trueangle.core.position import AngleSource
 from trueangle.core.registers import JointState, RegisterImage, RegisterMap
 from trueangle.core.sample import JointSample, SampleScale
+from trueangle.core.sensor_nodes import IN_SERVICE, SensorNodes
+from trueangle.core.serving import ServedJoint, ServingPolicy, in_quadrature_arcsec, moved_since_sample
 from trueangle.core.sync_time import SyncHistory
 
 Frame = tuple[int, bytes, int]
 """COB-ID, data, monotonic reception time in ns."""
 
 SYNC_COB_ID = 0x080
-_IN_SERVICE = (NodeCondition.RUNNING, NodeCondition.DIFFERS)
+_NO_SYNC = SyncHistory()
+"""For nodes that send by themselves: their samples have the time of their arrival."""
+DAY_CHECK_NS = 1_000_000_000
+_NOT_LOGGED = StatusBit.LATENCY_COMPENSATED
+"""Comes and goes with the age of a sample: a register tells it, the log does not."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeadChannel:
+    """A further reading head of a joint, on the joint's bus."""
+
+    plan: NodePlan
+    scale: SampleScale
+    mounting_deg: float
+    """Its angle less that of the first head at the same place of the shaft."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,23 +55,97 @@ class JointChannel:
     scale: SampleScale
     limits: Limits
     model: CorrectionModel
+    temperature_node: int | None = None
+    """The node on the same bus whose sensor it is; None: the encoder's own."""
+    temperature_has_status: bool = False
+    """The sensor tells a status: until it did, its temperature counts for nothing."""
+    policy: ServingPolicy = field(default_factory=ServingPolicy)
+    user_zero_deg: float = 0.0
+    further_heads: tuple[HeadChannel, ...] = ()
+    max_head_difference_arcsec: float = 1800.0
+    """Reading heads of one joint that lie further apart are not of one joint."""
+    calibrated: datetime.date | None = None
+    calibration_due: datetime.date | None = None
 
 
-class _Joint:
-    """One joint at run time."""
+class _Head:
+    """One reading head at run time; that of most joints is their only one."""
 
-    __slots__ = ("channel", "condition", "correction", "due", "fresh", "sample", "status")
+    __slots__ = ("clash", "condition", "fresh", "key", "sample", "synchronous")
+
+    def __init__(self, scale: SampleScale, key: int) -> None:
+        self.sample = JointSample(scale)
+        self.synchronous = scale.synchronous
+        self.clash = ClashLatch()
+        self.condition = NodeCondition.NOT_READY
+        self.fresh = False
+        """It answered the last SYNC, so the cycle waits for it."""
+        self.key = key
+        """The slot for a first head, beyond all slots for a further one."""
+
+    @property
+    def usable(self) -> bool:
+        """Whether its angle may take part in a fused one."""
+        position = self.sample.position
+        trusted = position.referenced and not position.jumped and not self.clash.active
+        return trusted and self.condition is NodeCondition.RUNNING
+
+
+class _Joint(_Head):
+    """One joint at run time, its first reading head included."""
+
+    __slots__ = (
+        "angle",
+        "channel",
+        "correction",
+        "due",
+        "fusion",
+        "heads",
+        "past_due",
+        "served",
+        "status",
+        "unfused",
+    )
 
     def __init__(self, channel: JointChannel) -> None:
+        super().__init__(channel.scale, channel.slot)
         self.channel = channel
-        self.sample = JointSample(channel.scale)
-        self.condition = NodeCondition.NOT_READY
+        further = [
+            _Head(head.scale, channel.slot + FURTHER_HEAD * number)
+            for number, head in enumerate(channel.further_heads, start=1)
+        ]
+        self.heads: tuple[_Head, ...] = (self, *further)
+        self.fusion: HeadFusion | None = None
+        if further:
+            mounting_deg = [0.0, *(head.mounting_deg for head in channel.further_heads)]
+            self.fusion = HeadFusion([head.sample.position for head in self.heads], mounting_deg)
+        self.angle: AngleSource = self.fusion or self.sample.position
+        """Where the joint's angle is read."""
         self.correction: Correction | None = None
         self.due = False
         """Its position has changed since the last model pass."""
-        self.fresh = False
-        """It answered the last SYNC, so the cycle waits for it."""
+        self.unfused = False
+        """A head has moved since the last fusion."""
+        self.served = ServedJoint(channel.policy, channel.user_zero_deg)
+        self.past_due = False
         self.status = StatusBit.CONFIGURED | StatusBit.NODE_NOT_READY
+
+    def moved(self) -> None:
+        """A new position came."""
+        if self.fusion is None:
+            self.due = True
+        else:
+            self.unfused = True
+
+    def fuse(self) -> None:
+        """One angle from the heads of this cycle."""
+        if self.fusion is not None and self.unfused:
+            self.fusion.fuse([head.usable for head in self.heads])
+            self.due, self.unfused = True, False
+
+
+FURTHER_HEAD = 64
+"""Distance of the keys of a joint's heads."""
 
 
 @dataclass(slots=True)
@@ -75,15 +170,39 @@ class Pipeline:
         *,
         publish: Callable[[RegisterImage], None],
         on_status: Callable[[int, StatusBit, StatusBit], None],
+        sensors: Iterable[tuple[str, NodePlan]] = (),
+        on_clash: Callable[[int, str], None] | None = None,
+        today: Callable[[], datetime.date] | None = None,
     ) -> None:
+        """`sensors`: nodes that send temperatures of other joints too, each with its bus.
+
+        `on_clash(slot, reason)` asks for the joint's node to be identified anew: two nodes send its positions, or
+        have just ceased to. `today` must never go back (`LatestDay`); without it nothing is past due.
+        """
         self._joints = {channel.slot: _Joint(channel) for channel in channels}
         self._registers = registers
         self._publish = publish
         self._on_status = on_status
-        self._table: dict[tuple[str, int], tuple[_Joint, FrameLayout]] = {}
+        self._today = today
+        self._day_checked_ns: int | None = None
+        self._table: dict[tuple[str, int], tuple[_Joint, _Head, FrameLayout]] = {}
         for joint in self._joints.values():
-            for cob_id, layout in frame_layouts(joint.channel.plan).items():
-                self._table[joint.channel.bus, cob_id] = (joint, layout)
+            plans = (joint.channel.plan, *(head.plan for head in joint.channel.further_heads))
+            for head, plan in zip(joint.heads, plans, strict=True):
+                for cob_id, layout in frame_layouts(plan).items():
+                    if layout.slot is not None:
+                        self._table[joint.channel.bus, cob_id] = (joint, head, layout)
+        self._fused = [joint for joint in self._joints.values() if joint.fusion is not None]
+        self._on_clash = on_clash or (lambda _slot, _reason: None)
+        self._sensors = SensorNodes(
+            {slot: joint.sample for slot, joint in self._joints.items()},
+            [
+                (j.channel.bus, j.channel.temperature_node or j.channel.plan.node_id, slot)
+                for slot, j in self._joints.items()
+            ],
+        )
+        for bus, plan in sensors:
+            self._sensors.add(bus, plan)
         self._bus_up = {joint.channel.bus: False for joint in self._joints.values()}
         self._syncs = {joint.channel.bus: SyncHistory() for joint in self._joints.values()}
         self._awaited: set[int] = set()
@@ -92,7 +211,8 @@ class Pipeline:
 
     def process_data(self, bus: str) -> frozenset[int]:
         """The COB-IDs on this bus that are the pipeline's; every other frame is the master's."""
-        return frozenset(cob_id for name, cob_id in self._table if name == bus) | {SYNC_COB_ID}
+        own = frozenset(cob_id for name, cob_id in self._table if name == bus)
+        return own | self._sensors.cob_ids(bus) | {SYNC_COB_ID}
 
     def on_frames(self, bus: str, frames: Iterable[Frame], now_ns: int) -> None:
         """A batch of received frames, in order; those of other COB-IDs are passed over.
@@ -107,32 +227,46 @@ class Pipeline:
                 continue
             entry = self._table.get((bus, cob_id))
             if entry is None:
+                if not self._sensors.on_frame(bus, cob_id, data, stamp_ns):
+                    self.counters.misfit_frames += 1
                 continue
-            joint, layout = entry
+            joint, head, layout = entry
             if len(data) != layout.length:
                 self.counters.misfit_frames += 1
-            elif joint.condition not in _IN_SERVICE:
+            elif head.condition not in IN_SERVICE:
                 self.counters.unready_frames += 1
-            elif joint.sample.take(layout, data, stamp_ns, self._syncs[bus]):
-                moved = joint.due = joint.fresh = True
-                self._awaited.discard(joint.channel.slot)
+            elif head.sample.take(layout, data, stamp_ns, self._syncs[bus] if head.synchronous else _NO_SYNC):
+                moved = head.fresh = True
+                joint.moved()
+                self._awaited.discard(head.key)
+            if head.sample.two_senders:
+                self._on_two_senders(joint, head, now_ns)
         if moved and not self._awaited:
             self._end_cycle(now_ns)
 
     def on_sync(self, bus: str, now_ns: int) -> None:
         """SYNC on this bus, sent by us or by another node: a cycle that has not ended yet ends here."""
-        if self._awaited and any(joint.due for joint in self._joints.values()):
+        if self._awaited and any(joint.due or joint.unfused for joint in self._joints.values()):
             self._end_cycle(now_ns)
         if bus not in self._syncs:
             return
+        self._end_clashes(now_ns)
         self._syncs[bus].add(now_ns)
-        for slot, joint in self._joints.items():
+        for joint in self._joints.values():
             if joint.channel.bus == bus:
-                if joint.fresh:
-                    self._awaited.add(slot)
-                else:
-                    self._awaited.discard(slot)
-                joint.fresh = False
+                for head in joint.heads:
+                    if head.synchronous:
+                        self._await(joint, head, now_ns)
+
+    def _await(self, joint: _Joint, head: _Head, now_ns: int) -> None:
+        """At SYNC: the cycle waits for the heads that answered the last one."""
+        if head.sample.watch.on_sync():
+            self._on_two_senders(joint, head, now_ns)
+        if head.fresh:
+            self._awaited.add(head.key)
+        else:
+            self._awaited.discard(head.key)
+        head.fresh = False
 
     def on_bus(self, bus: str, *, up: bool, now_ns: int) -> None:
         """The bus was opened or lost."""
@@ -140,46 +274,124 @@ class Pipeline:
             self._bus_up[bus] = up
             self._end_cycle(now_ns)
 
-    def on_node(self, slot: int, condition: NodeCondition, now_ns: int) -> None:
-        """The node's life cycle moved on; a node out of service takes its samples with it."""
+    def on_node(
+        self, slot: int, condition: NodeCondition, now_ns: int, *, head: int = 0, range_counts: int | None = None
+    ) -> None:
+        """The node's life cycle moved on; a node out of service takes its samples with it.
+
+        `head`: 0 for the joint's own node, 1 to 3 for its further ones. `range_counts`: the total range that the
+        node told (0x6002), where it told one.
+        """
         joint = self._joints[slot]
-        if condition not in _IN_SERVICE or joint.condition not in _IN_SERVICE:
-            joint.sample.forget()
-            joint.correction = None
-            joint.due = joint.fresh = False
-            self._awaited.discard(slot)
-        joint.condition = condition
+        reader = joint.heads[head]
+        if condition not in IN_SERVICE or reader.condition not in IN_SERVICE:
+            reader.sample.forget()
+            reader.sample.position.set_range(range_counts or reader.sample.scale.mechanics.range_counts)
+            reader.fresh = False
+            self._awaited.discard(reader.key)
+            reader.clash.on_service(now_ns if condition in IN_SERVICE else None)
+            if joint.fusion is None or not any(other.usable for other in joint.heads if other is not reader):
+                self._forget_angle(joint)
+        reader.condition = condition
+        if condition not in (NodeCondition.SILENT, NodeCondition.RUNNING):
+            joint.served.drop_held()
+        if head == 0:
+            self._sensors.on_node(joint.channel.bus, joint.channel.plan.node_id, condition)
         self._serve(now_ns)
+
+    def _forget_angle(self, joint: _Joint) -> None:
+        joint.correction = None
+        joint.due = joint.unfused = False
+        if joint.fusion is not None:
+            joint.fusion.forget()
+
+    def set_user_zero(self, slot: int, zero_deg: float, now_ns: int) -> None:
+        """From now on this is taken off what is served, before it is reduced to one turn; 0 takes it back."""
+        self._joints[slot].served.user_zero_deg = zero_deg
+        self._serve(now_ns)
+
+    def user_zero_deg(self, slot: int) -> float:
+        """The user zero in force; 0: none."""
+        return self._joints[slot].served.user_zero_deg
+
+    def set_referenced(self, slot: int, now_ns: int) -> None:
+        """A person says that the encoder's zero is where it was at calibration."""
+        for head in self._joints[slot].heads:
+            head.sample.position.set_referenced()
+        self._serve(now_ns)
+
+    def clear_jump(self, slot: int, now_ns: int) -> None:
+        """A person says that the position is right in spite of its jump; a lost reference stays lost."""
+        for head in self._joints[slot].heads:
+            head.sample.position.clear_jump()
+        self._serve(now_ns)
+
+    def on_sensor(self, bus: str, node_id: int, condition: NodeCondition, now_ns: int) -> None:
+        """The life cycle of a node without an encoder moved on."""
+        self._sensors.on_node(bus, node_id, condition)
+        self._serve(now_ns)
+
+    def on_value(self, slot: int, quantity: Quantity, value: int, stamp_ns: int) -> None:
+        """A value of this joint was read by SDO; it is served with the next image."""
+        self._joints[slot].sample.take_value(quantity, value, stamp_ns)
+
+    def on_alive(self, bus: str, node_id: int, stamp_ns: int) -> None:
+        """A node in service proved that it lives."""
+        self._sensors.on_alive(bus, node_id, stamp_ns)
 
     def tick(self, now_ns: int) -> None:
         """Renew ages and marks although no cycle ended."""
+        self._end_clashes(now_ns)
         self._serve(now_ns)
+
+    def _on_two_senders(self, joint: _Joint, head: _Head, now_ns: int) -> None:
+        head.sample.two_senders = False
+        if head.clash.on_evidence(now_ns) and head is joint:
+            self._on_clash(joint.channel.slot, "two nodes send its positions")
+
+    def _end_clashes(self, now_ns: int) -> None:
+        """Which of the two nodes is left is known only when it was identified again."""
+        for slot, joint in self._joints.items():
+            if joint.clash.active and joint.clash.ends(now_ns):
+                self._on_clash(slot, "two nodes sent its positions, one is left")
 
     def _end_cycle(self, now_ns: int) -> None:
         self._awaited.clear()
         self.counters.cycles += 1
+        for joint in self._fused:
+            joint.fuse()
         self._serve(now_ns)
 
     def _correct(self) -> None:
         """One model pass over the joints whose sample is newer than their correction."""
         for joint in self._joints.values():
-            raw_deg, temperature_c = joint.sample.raw_deg, joint.sample.temperature_c
+            raw_deg, temperature_c = joint.angle.raw_deg, joint.sample.temperature_c
             if raw_deg is None or temperature_c is None:
                 joint.correction = None
             elif joint.due or joint.correction is None:
                 joint.correction = correct_one(joint.channel.model, raw_deg, temperature_c)
             joint.due = False
 
+    def _check_day(self, now_ns: int) -> None:
+        if self._today is None or (
+            self._day_checked_ns is not None and now_ns - self._day_checked_ns < DAY_CHECK_NS
+        ):
+            return
+        self._day_checked_ns, today = now_ns, self._today()
+        for joint in self._joints.values():
+            joint.past_due = is_past_due(today, joint.channel.calibrated, joint.channel.calibration_due)
+
     def _serve(self, now_ns: int) -> None:
         self._correct()
+        self._check_day(now_ns)
         states: dict[int, JointState] = {}
         service = ServiceBit.ALL_VALID
         for slot, joint in self._joints.items():
             states[slot] = state = self._state(joint, now_ns)
             if StatusBit.VALID not in state.status:
                 service &= ~ServiceBit.ALL_VALID
-            if state.status != joint.status:
-                before, joint.status = joint.status, state.status
+            before, joint.status = joint.status, state.status
+            if before != state.status and (before ^ state.status) & ~_NOT_LOGGED:
                 self._on_status(slot, before, state.status)
         if not all(self._bus_up.values()):
             service |= ServiceBit.BUS_DOWN
@@ -195,41 +407,83 @@ class Pipeline:
         )
 
     def _state(self, joint: _Joint, now_ns: int) -> JointState:
-        sample, correction = joint.sample, joint.correction
-        age_ms = None if sample.stamp_ns is None else max(0.0, (now_ns - sample.stamp_ns) * 1e-6)
-        stamp_ns = sample.temperature_stamp_ns
+        sample, angle, correction = joint.sample, joint.angle, joint.correction
+        age_ms = None if angle.stamp_ns is None else max(0.0, (now_ns - angle.stamp_ns) * 1e-6)
+        way = moved_since_sample(joint.channel.policy, angle, age_ms)
+        if correction is not None and (way is not None or joint.fusion is not None):
+            correction = Correction(
+                correction_arcsec=correction.correction_arcsec,
+                uncertainty_arcsec=in_quadrature_arcsec(
+                    correction.uncertainty_arcsec,
+                    0.0 if way is None else way.uncertainty_arcsec,
+                    0.0 if joint.fusion is None else joint.fusion.uncertainty_arcsec,
+                ),
+            )
+        status = self._judge(joint, correction, age_ms, now_ns)
+        served = joint.served.serve(
+            status,
+            raw_deg=angle.raw_deg,
+            correction=correction,
+            moved_deg=None if way is None else way.moved_deg,
+            stamp_ns=angle.stamp_ns,
+            now_ns=now_ns,
+            age_ms=age_ms,
+        )
+        return JointState(
+            status=served.bits,
+            sequence=sample.sequence,
+            corrected_deg=served.corrected_deg,
+            raw_deg=angle.raw_deg,
+            correction_arcsec=served.correction_arcsec,
+            temperature_c=sample.temperature_c,
+            age_ms=served.age_ms,
+            uncertainty_arcsec=served.uncertainty_arcsec,
+            velocity_deg_s=angle.velocity_deg_s,
+            turns=angle.turns,
+            raw_counts=sample.position.position_counts,
+            frames_received=sample.frames_received & 0xFFFFFFFF,
+            frames_lost=sample.frames_lost & 0xFFFFFFFF,
+            user_zero_deg=joint.served.user_zero_deg,
+        )
+
+    def _judge(self, joint: _Joint, correction: Correction | None, age_ms: float | None, now_ns: int) -> StatusBit:
+        sample, channel, fusion = joint.sample, joint.channel, joint.fusion
+        told = sample.temperature_status is not None or not channel.temperature_has_status
+        stamp_ns = sample.temperature_stamp_ns if told else None
+        # A joint with several heads suffers from what befalls one of them only when no head is left.
+        alone = fusion is None or not any(head.usable for head in joint.heads)
+        node = NodeCondition.ID_CLASH if joint.clash.active else joint.condition
         status = judge(
             Evidence(
-                bus_up=self._bus_up[joint.channel.bus],
-                node=joint.condition,
+                bus_up=self._bus_up[channel.bus],
+                node=node if alone else NodeCondition.RUNNING,
                 age_ms=age_ms,
-                raw_deg=sample.raw_deg,
+                raw_deg=joint.angle.raw_deg,
                 temperature_c=sample.temperature_c,
                 temperature_age_s=None if stamp_ns is None else max(0.0, (now_ns - stamp_ns) * 1e-9),
                 correction_arcsec=None if correction is None else correction.correction_arcsec,
+                uncertainty_arcsec=None if correction is None else correction.uncertainty_arcsec,
+                uncertainty_needed=fusion is not None and fusion.uncertainty_arcsec is None,
+                referenced=not alone or sample.position.referenced,
+                jumped=alone and sample.position.jumped,
+                past_due=joint.past_due,
+                temperature_fault=bool(sample.temperature_status),
+                temperature_plausible=sample.temperature_watch.plausible(now_ns),
+                sync_lost=joint.synchronous and self._sync_lost(channel, age_ms, now_ns),
+                heads_disagree=fusion is not None
+                and fusion.disagreement_arcsec > channel.max_head_difference_arcsec,
             ),
-            joint.channel.limits,
+            channel.limits,
         )
-        if StatusBit.VALID not in status:
-            correction = None
-        corrected_deg = None
-        if correction is not None and sample.raw_deg is not None:
-            corrected_deg = correction.corrected_deg(sample.raw_deg)
-        return JointState(
-            status=status,
-            sequence=sample.sequence,
-            corrected_deg=corrected_deg,
-            raw_deg=sample.raw_deg,
-            correction_arcsec=correction.correction_arcsec if correction is not None else None,
-            temperature_c=sample.temperature_c,
-            age_ms=age_ms,
-            uncertainty_arcsec=correction.uncertainty_arcsec if correction is not None else None,
-            velocity_deg_s=sample.velocity_deg_s,
-            turns=sample.turns,
-            raw_counts=sample.position_counts,
-            frames_received=sample.frames_received & 0xFFFFFFFF,
-            frames_lost=sample.frames_lost & 0xFFFFFFFF,
-        )
+        return status | StatusBit.HEAD_LOST if fusion is not None and fusion.lost else status
+
+    def _sync_lost(self, channel: JointChannel, age_ms: float | None, now_ns: int) -> bool:
+        """SYNC has stopped, or never came and no position either."""
+        stale_ms = channel.limits.stale_ms
+        last_ns = self._syncs[channel.bus].last_ns
+        if last_ns is None:
+            return self._bus_up[channel.bus] and (age_ms is None or age_ms > stale_ms)
+        return (now_ns - last_ns) * 1e-6 > stale_ms
 
     @property
     def statuses(self) -> Mapping[int, StatusBit]:

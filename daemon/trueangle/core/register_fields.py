@@ -27,7 +27,7 @@ class RegisterType(enum.Enum):
     FLOAT64 = ("d", 4, float("nan"))
     BYTES8 = ("8s", 4, b"\xff" * 8)
     RESERVED_2 = ("4x", 2, None)
-    RESERVED_12 = ("24x", 12, None)
+    RESERVED_10 = ("20x", 10, None)
 
     def __init__(self, code: str, registers: int, missing: float | bytes | None) -> None:
         self.code = code
@@ -83,12 +83,27 @@ FAST_SLOT = (
         "sequence", _T.UINT16, "number of the sample; 65535 is a number too unless raw is missing as well"
     ),
     RegisterField(
-        "corrected", _T.INT32, "corrected angle, 0 to 1295999999; missing unless VALID", "arcsec", "0.001"
+        "corrected",
+        _T.INT32,
+        "corrected angle, 0 to 1295999999; missing unless VALID, HELD or RAW_SERVED",
+        "arcsec",
+        "0.001",
     ),
-    RegisterField("raw", _T.INT32, "angle as the encoder reads it, 0 to 1295999999", "arcsec", "0.001"),
-    RegisterField("correction", _T.INT32, "corrected minus raw", "arcsec", "0.001"),
+    RegisterField("raw", _T.INT32, "angle without correction, 0 to 1295999999", "arcsec", "0.001"),
+    RegisterField(
+        "correction",
+        _T.INT32,
+        "corrected = raw + correction - user_zero; missing where not applied",
+        "arcsec",
+        "0.001",
+    ),
     RegisterField("temperature", _T.INT16, "temperature used for the correction", "degC", "0.01"),
-    RegisterField("age", _T.UINT16, "age of the sample when published; 65534: that or older", "ms"),
+    RegisterField(
+        "age",
+        _T.UINT16,
+        "age of the sample when published; with HELD: of the held one; 65534: that or older",
+        "ms",
+    ),
     RegisterField(
         "uncertainty",
         _T.UINT16,
@@ -110,21 +125,27 @@ DETAIL_LIVE = (
     ),
     RegisterField("node_id", _T.UINT16, "CANopen node-id", may_be_missing=False),
     RegisterField(
-        "corrected", _T.INT32, "corrected angle, 0 to 1295999999; missing unless VALID", "arcsec", "0.001"
+        "corrected",
+        _T.INT32,
+        "corrected angle, 0 to 1295999999; missing unless VALID, HELD or RAW_SERVED",
+        "arcsec",
+        "0.001",
     ),
     RegisterField("corrected_float64", _T.FLOAT64, "the same angle, in [0, 360)", "deg"),
     RegisterField(
         "corrected_float32", _T.FLOAT32, "the same angle, in [0, 360); step near 360: 0.11 arcsec", "deg"
     ),
-    RegisterField("raw", _T.INT32, "angle as the encoder reads it, 0 to 1295999999", "arcsec", "0.001"),
+    RegisterField("raw", _T.INT32, "angle without correction, 0 to 1295999999", "arcsec", "0.001"),
     RegisterField("raw_float64", _T.FLOAT64, "the same angle, in [0, 360)", "deg"),
     RegisterField("raw_float32", _T.FLOAT32, "the same angle, in [0, 360); step near 360: 0.11 arcsec", "deg"),
     RegisterField("velocity", _T.FLOAT32, "rate of the angle", "deg/s"),
     RegisterField("turns", _T.INT32, "whole turns that belong to raw (never add them to corrected)", "turn"),
     RegisterField("temperature", _T.FLOAT32, "temperature used for the correction", "degC"),
-    RegisterField("correction", _T.FLOAT32, "corrected minus raw", "arcsec"),
+    RegisterField(
+        "correction", _T.FLOAT32, "corrected = raw + correction - user_zero; missing where not applied", "arcsec"
+    ),
     RegisterField("uncertainty", _T.FLOAT32, "standard uncertainty (k = 1) of corrected", "arcsec"),
-    RegisterField("age", _T.UINT32, "age of the sample when published", "ms"),
+    RegisterField("age", _T.UINT32, "age of the sample when published; with HELD: of the held one", "ms"),
     RegisterField(
         "raw_counts", _T.UINT32, "position as received; 4294967295 is a count too unless raw is missing"
     ),
@@ -142,14 +163,24 @@ DETAIL_IDENTITY = (
     RegisterField("product_code", _T.UINT32, "object 0x1018:2 of the encoder"),
     RegisterField("revision_number", _T.UINT32, "object 0x1018:3 of the encoder"),
     RegisterField("serial_number", _T.UINT32, "object 0x1018:4 of the encoder"),
-    RegisterField("reserved", _T.RESERVED_12, "zero", may_be_missing=False),
+)
+
+DETAIL_USER = (
+    RegisterField(
+        "user_zero",
+        _T.INT32,
+        "taken off corrected, 0 to 1295999999; 0: none",
+        "arcsec",
+        "0.001",
+    ),
+    RegisterField("reserved", _T.RESERVED_10, "zero", may_be_missing=False),
 )
 
 DETAIL_TAIL = (
     RegisterField("cycle_counter_tail", _T.UINT32, "cycle_counter again: torn reads show", may_be_missing=False),
 )
 
-DETAIL = DETAIL_LIVE + DETAIL_IDENTITY + DETAIL_TAIL
+DETAIL = DETAIL_LIVE + DETAIL_IDENTITY + DETAIL_USER + DETAIL_TAIL
 
 
 def struct_format(fields: tuple[RegisterField, ...]) -> str:

@@ -31,6 +31,7 @@ MAP_NOTES = (
     "Groups and slots without a configured joint answer with exception 02.",
     "Empty slots of a group with a configured joint hold status 0 and the markers.",
     "A value that is not known holds the marker of its type. Use a corrected angle only while VALID is set.",
+    "HELD or RAW_SERVED without VALID: corrected holds what the configuration asked for in place of the marker.",
     "Compare cycle_counter with cycle_counter_tail: unequal, if the block was read in pieces of different cycles.",
 )
 
@@ -143,7 +144,7 @@ def _rows(prefix: str, start: int, block: tuple[RegisterField, ...]) -> list[Reg
 _TYPE_NAMES = {
     RegisterType.BYTES8: "8 bytes",
     RegisterType.RESERVED_2: "reserved",
-    RegisterType.RESERVED_12: "reserved",
+    RegisterType.RESERVED_10: "reserved",
 }
 
 

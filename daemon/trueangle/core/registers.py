@@ -1,8 +1,8 @@
 """From joint states to the register image: one immutable `bytes` per cycle.
 
 Rules of this file: a register never holds a number that is not known. What is missing, not finite or out of the
-register's range is served as the marker of its type; the corrected angle is served only with the VALID bit, and
-the VALID bit only with a corrected angle.
+register's range is served as the marker of its type; a corrected angle is served only with one of VALID, HELD and
+RAW_SERVED, and none of them without a corrected angle.
 """
 
 import datetime
@@ -18,6 +18,7 @@ from trueangle.core.register_fields import (
     DETAIL_LIVE,
     DETAIL_REGISTERS,
     DETAIL_TAIL,
+    DETAIL_USER,
     FAST_HEADER,
     FAST_REGISTERS,
     FAST_SLOT,
@@ -38,8 +39,12 @@ _LIVE = struct.Struct(struct_format(DETAIL_LIVE))
 _IDENTITY = struct.Struct(struct_format(DETAIL_IDENTITY))
 _FAST_TAIL = struct.Struct(struct_format(FAST_TAIL))
 _DETAIL_TAIL = struct.Struct(struct_format(DETAIL_TAIL))
+_USER = struct.Struct(struct_format(DETAIL_USER))
 
 _VALID = int(StatusBit.VALID)
+_STAND_INS = int(StatusBit.HELD | StatusBit.RAW_SERVED)
+"""What may hold a corrected angle without VALID; beside VALID they would contradict it."""
+_NO_ANGLE_BITS = ~(_VALID | _STAND_INS | int(StatusBit.LATENCY_COMPENSATED))
 _CONFIGURED = int(StatusBit.CONFIGURED)
 _ALL_VALID = int(ServiceBit.ALL_VALID)
 
@@ -70,7 +75,7 @@ class JointState:
     sequence: int | None
     """Number of the sample; served modulo 65536."""
     corrected_deg: float | None
-    """Within +-1e8; served reduced to [0, 360), and only with VALID in `status`."""
+    """Within +-1e8; served reduced to [0, 360), and only with VALID, HELD or RAW_SERVED in `status`."""
     raw_deg: float | None
     """Within +-1e8; served reduced to [0, 360), whole turns are carried into `turns`."""
     correction_arcsec: float | None
@@ -89,6 +94,8 @@ class JointState:
     """Served modulo 2^32."""
     frames_lost: int
     """Served modulo 2^32."""
+    user_zero_deg: float = 0.0
+    """Taken off `corrected_deg` by whoever made this state; served reduced to [0, 360)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -220,9 +227,12 @@ def _pack_joint(
 ) -> bool:
     """Write one joint's live registers; True if its corrected angle is served."""
     status = int(state.status) & 0xFFFF_FFFF | _CONFIGURED
-    corrected_mas, corrected_deg, corrected_f32, _ = _angle(state.corrected_deg) if status & _VALID else _NO_ANGLE
+    if status & _VALID:
+        status &= ~_STAND_INS
+    shown = status & (_VALID | _STAND_INS)
+    corrected_mas, corrected_deg, corrected_f32, _ = _angle(state.corrected_deg) if shown else _NO_ANGLE
     if corrected_mas == _NO_INT32:
-        status &= ~_VALID
+        status &= _NO_ANGLE_BITS
     raw_mas, raw_deg, raw_f32, carry = _angle(state.raw_deg)
     sequence = _NO_UINT16 if state.sequence is None else state.sequence & 0xFFFF
     correction_arcsec = _float32(state.correction_arcsec)
@@ -265,6 +275,8 @@ def _pack_joint(
         state.frames_received & 0xFFFF_FFFF,
         state.frames_lost & 0xFFFF_FFFF,
     )
+    if state.user_zero_deg:
+        _USER.pack_into(buffer, detail_at + _LIVE.size + _IDENTITY.size, _angle(state.user_zero_deg)[0])
     _DETAIL_TAIL.pack_into(buffer, detail_at + 2 * DETAIL_REGISTERS - _DETAIL_TAIL.size, cycle)
     return status & _VALID != 0
 
@@ -327,7 +339,7 @@ def _template(identities: Mapping[int, JointIdentity]) -> tuple[bytes, tuple[int
         blocks += bytes(_HEADER.size) + empty_slot * (slots_bytes // _FAST.size) + bytes(_FAST_TAIL.size)
     for slot in sorted(identities):
         starts[detail_address(slot) // BLOCK_STRIDE] = len(blocks)
-        blocks += bytes(_LIVE.size) + _identity_bytes(identities[slot]) + bytes(_DETAIL_TAIL.size)
+        blocks += bytes(_LIVE.size) + _identity_bytes(identities[slot]) + bytes(_USER.size + _DETAIL_TAIL.size)
     return bytes(blocks), tuple(starts)
 
 

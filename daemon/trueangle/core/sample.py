@@ -4,12 +4,13 @@ Rules of this file: only what arrived is kept; a repeated sequence number refres
 frame must grow old); a node that leaves service takes its samples with it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from trueangle.contract.encoder import counts_to_deg
-from trueangle.contract.units import DEG_PER_TURN
+from trueangle.core.clash import SenderWatch
 from trueangle.core.frames import FrameLayout, Quantity
+from trueangle.core.position import Mechanics, PositionTrack
 from trueangle.core.sync_time import SampleTime, SyncHistory
+from trueangle.core.temperature_watch import TemperatureLimits, TemperatureWatch
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,6 +22,14 @@ class SampleScale:
     offset_c: float
     sequence_modulus: int | None
     """2^bits of the sequence object; None where the node has none."""
+    temperature_by_change: bool = False
+    """The sensor sends only when the temperature changes: its node's life says that the last value holds."""
+    synchronous: bool = True
+    """The node sends one position a SYNC; else by itself."""
+    position_period_ms: float | None = None
+    """Of a node that sends by its timer; None: whenever the position changes."""
+    mechanics: Mechanics = field(default_factory=Mechanics)
+    temperature: TemperatureLimits = field(default_factory=TemperatureLimits)
 
 
 class JointSample:
@@ -33,36 +42,65 @@ class JointSample:
         "frames_lost",
         "frames_received",
         "frames_repeated",
-        "position_counts",
-        "raw_deg",
+        "position",
         "scale",
         "sequence",
-        "stamp_ns",
         "temperature_c",
         "temperature_stamp_ns",
-        "velocity_deg_s",
+        "temperature_status",
+        "temperature_watch",
+        "two_senders",
+        "watch",
     )
 
     def __init__(self, scale: SampleScale) -> None:
         self.scale = scale
+        self.position = PositionTrack(scale.counts_per_rev, scale.mechanics)
+        self.temperature_watch = TemperatureWatch(scale.temperature)
         self.frames_received = 0
         self.frames_lost = 0
         self.frames_repeated = 0
+        self.watch = SenderWatch(
+            scale.counts_per_rev, synchronous=scale.synchronous, period_ms=scale.position_period_ms
+        )
+        self.two_senders = False
+        """A frame showed that two nodes send them; whoever acts on it takes it back."""
         self.forget()
+        self.forget_temperature()
 
     def forget(self) -> None:
-        """The node left service: nothing that it said before counts any more. Frame counters stay."""
-        self.position_counts: int | None = None
-        self.raw_deg: float | None = None
-        self.stamp_ns: int | None = None
+        """The encoder's node left service: no position that it told counts any more. Frame counters stay."""
+        self.position.forget()
         self.sequence: int | None = None
         self._backwards: int | None = None
         """The last sequence number that went backwards."""
         self._sample_number = 0
         self._sample_time = SampleTime()
-        self.velocity_deg_s: float | None = None
+        self.watch.forget()
+
+    def forget_temperature(self) -> None:
+        """The sensor's node left service."""
         self.temperature_c: float | None = None
         self.temperature_stamp_ns: int | None = None
+        self.temperature_status: int | None = None
+        """What the sensor says of itself, 0 is good; None: not told."""
+        self.temperature_watch.forget()
+
+    def take_value(self, quantity: Quantity, value: int, stamp_ns: int) -> None:
+        """A temperature, or its status, from a frame or by SDO."""
+        if quantity is Quantity.TEMPERATURE:
+            self.temperature_c = value * self.scale.degc_per_unit + self.scale.offset_c
+            self.temperature_stamp_ns = stamp_ns
+            self.temperature_watch.take(value, self.temperature_c, stamp_ns)
+        elif quantity is Quantity.TEMPERATURE_STATUS:
+            self.temperature_status = value
+        elif quantity is Quantity.REFERENCE and value & self.scale.mechanics.reference_mask:
+            self.position.set_referenced()
+
+    def confirm_temperature(self, stamp_ns: int) -> None:
+        """The sensor's node lives at this time; what that says of the last value depends on how it sends."""
+        if self.scale.temperature_by_change and self.temperature_stamp_ns is not None:
+            self.temperature_stamp_ns = max(self.temperature_stamp_ns, stamp_ns)
 
     def take(self, layout: FrameLayout, data: bytes, received_ns: int, syncs: SyncHistory) -> bool:
         """Decode one frame of the right length; True when a new position came with it."""
@@ -74,11 +112,12 @@ class JointSample:
             elif quantity is Quantity.SEQUENCE:
                 sequence = value
             else:
-                self.temperature_c = value * self.scale.degc_per_unit + self.scale.offset_c
-                self.temperature_stamp_ns = received_ns
+                self.take_value(quantity, value, received_ns)
+        if position is not None and self.watch.on_position(position, received_ns):
+            self.two_senders = True
         if position is None or not self._is_new(sequence):
             return False
-        self._move_to(position, self._sample_time.stamp_ns(self._sample_number, syncs, received_ns))
+        self.position.move_to(position, self._sample_time.stamp_ns(self._sample_number, syncs, received_ns))
         return True
 
     def _is_new(self, sequence: int | None) -> bool:
@@ -103,18 +142,3 @@ class JointSample:
         self._sample_number += step
         self.frames_received += 1
         return True
-
-    def _move_to(self, position: int, stamp_ns: int) -> None:
-        per_rev = self.scale.counts_per_rev
-        if self.position_counts is not None and self.stamp_ns is not None and stamp_ns > self.stamp_ns:
-            moved = (position - self.position_counts + per_rev // 2) % per_rev - per_rev // 2
-            elapsed_s = (stamp_ns - self.stamp_ns) * 1e-9
-            self.velocity_deg_s = moved * DEG_PER_TURN / per_rev / elapsed_s
-        self.position_counts = position
-        self.raw_deg = counts_to_deg(position, per_rev)
-        self.stamp_ns = stamp_ns
-
-    @property
-    def turns(self) -> int | None:
-        """Whole turns in the position value."""
-        return None if self.position_counts is None else self.position_counts // self.scale.counts_per_rev

@@ -31,6 +31,11 @@ class SyncHistory:
         self.number += 1
         self._stamps_ns.append(stamp_ns)
 
+    @property
+    def last_ns(self) -> int | None:
+        """The time of the last SYNC; None: none was seen."""
+        return self._stamps_ns[-1] if self._stamps_ns else None
+
     def stamp_ns(self, number: int) -> int:
         """The time of that SYNC; of the nearest kept one where it is not kept."""
         behind = min(max(0, self.number - number), len(self._stamps_ns) - 1)

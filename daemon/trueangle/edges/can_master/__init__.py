@@ -12,9 +12,9 @@ from types import TracebackType
 from typing import Self
 
 from trueangle.contract.encoder import EncoderSettings
-from trueangle.core.frames import NodePlan
+from trueangle.core.frames import NodePlan, Quantity
 from trueangle.core.node_setup import NodeReport
-from trueangle.edges.can_master.node import NodeSupervisor
+from trueangle.edges.can_master.node import NodeListener, NodeSupervisor
 from trueangle.edges.can_master.sdo import FrameSender, MasterTiming, SdoNetwork, SdoPort
 
 __all__ = ["CanMaster", "FrameSender", "MasterTiming"]
@@ -28,6 +28,8 @@ class CanMaster:
     Feed it every frame that is not process data by `notify`, and the bus state by `on_bus_state`; both on
     the loop's thread. `on_node(slot, report)` is called on the loop at each change of state. `accept(slot,
     settings)` gives the differences for which the node's angle must not be corrected; empty accepts.
+    `on_sensor(node_id, report)` is the same for every node, by its id; `on_value(slot, quantity, value, stamp_ns)`
+    tells what was read by SDO, `on_alive(node_id, stamp_ns)` that a node in service lives.
     """
 
     def __init__(
@@ -37,6 +39,9 @@ class CanMaster:
         *,
         on_node: Callable[[int, NodeReport], None],
         accept: Callable[[int, EncoderSettings], list[str]],
+        on_sensor: Callable[[int, NodeReport], None] | None = None,
+        on_value: Callable[[int, Quantity, int, int], None] | None = None,
+        on_alive: Callable[[int, int], None] | None = None,
         timing: MasterTiming | None = None,
     ) -> None:
         timing = timing or MasterTiming()
@@ -44,17 +49,34 @@ class CanMaster:
         logging.getLogger("canopen.sdo.client").setLevel(logging.CRITICAL)
         self._threads = ThreadPoolExecutor(max(1, min(len(plans), MAX_SDO_THREADS)), "sdo")
         self._network = SdoNetwork(bus)
+
+        def listener(plan: NodePlan) -> NodeListener:
+            slot, node_id = plan.slot, plan.node_id
+
+            def on_report(report: NodeReport) -> None:
+                if slot is not None:
+                    on_node(slot, report)
+                if on_sensor is not None:
+                    on_sensor(node_id, report)
+
+            return NodeListener(
+                on_report=on_report,
+                accept=lambda settings: [] if slot is None else accept(slot, settings),
+                on_value=on_value or (lambda *_: None),
+                on_alive=lambda stamp_ns: None if on_alive is None else on_alive(node_id, stamp_ns),
+            )
+
         self._nodes = [
             NodeSupervisor(
                 plan,
                 SdoPort(plan.node_id, self._network, self._threads, timing),
                 bus,
-                on_node=on_node,
-                accept=accept,
+                listener=listener(plan),
                 timing=timing,
             )
             for plan in plans
         ]
+        self._by_id = dict(zip((plan.node_id for plan in plans), self._nodes, strict=True))
         self._routes: Mapping[int, Callable[[bytes], None]] = {
             cob_id: handler for node in self._nodes for cob_id, handler in node.routes().items()
         }
@@ -97,3 +119,12 @@ class CanMaster:
         """Frames of this bus were missed, perhaps a boot-up message: every node is identified again."""
         for node in self._nodes:
             node.distrust(reason)
+
+    def distrust_node(self, node_id: int, reason: str) -> None:
+        """Frames of this node cast doubt on it: it is identified again."""
+        self._by_id[node_id].distrust(reason)
+
+    @property
+    def cob_ids(self) -> frozenset[int]:
+        """The COB-IDs that the master listens to."""
+        return frozenset(self._routes)

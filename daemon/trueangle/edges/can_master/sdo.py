@@ -17,6 +17,10 @@ from trueangle.errors import LinkError, NodeFault
 SDO_REPLY_BASE, SDO_REQUEST_BASE = 0x580, 0x600
 ABSENT_CODES = frozenset({0x06010000, 0x06010001, 0x06020000, 0x06090011, 0x060A0023, 0x08000024})
 """SDO abort codes by which a unit says that it has no such object, or nothing in it (CiA 301, 7.2.4.3.17)."""
+UNASKED_LIMIT = 2
+"""So many answers that nobody asked for since the bring-up began are a second node; one may be late."""
+SDO_ABORT, CLIENT_COMMAND, DOWNLOADS = 0x80, 0xE0, (0x00, 0x20)
+"""Of the command byte: its upper three bits say what the client asks; 0 and 1 write (CiA 301, 7.2.4.3)."""
 _INTERRUPTION = bytes((0x80, 0, 0, 0, 0, 0, 0, 0))
 """An SDO abort with code 0, which no node sends."""
 
@@ -53,31 +57,72 @@ class SdoNetwork(canopen.Network):
         self._sender = bus
         self.closed = False
 
+        self.asked: dict[int, bytes] = {}
+        """The last request on each COB-ID."""
+        self.requests: dict[int, int] = {}
+        """How many left on each COB-ID; written by the one worker thread that serves it."""
+
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
         """Send one frame, called in worker threads; LinkError where the bus is down or the master closes."""
         if self.closed:
             raise LinkError("the CANopen master is closing")
-        self._sender.send(can_id, bytes(data))
+        request = bytes(data)
+        if request[0] != SDO_ABORT:
+            # Before the frame leaves: the answer may be here before `send` returns.
+            self.asked[can_id] = request
+            self.requests[can_id] = self.requests.get(can_id, 0) + 1
+        self._sender.send(can_id, request)
 
 
 class SdoPort:
-    """SDO transfers to one node: canopen's blocking client in a worker thread, one transfer at a time."""
+    """SDO transfers to one node: canopen's blocking client in a worker thread, one transfer at a time.
+
+    It counts answers against requests, because two nodes with one node-id both answer.
+    """
 
     def __init__(
         self, node_id: int, network: "SdoNetwork", threads: ThreadPoolExecutor, timing: MasterTiming
     ) -> None:
         self._threads = threads
+        self._network = network
+        self._request_id = SDO_REQUEST_BASE + node_id
         client = SdoClient(SDO_REQUEST_BASE + node_id, SDO_REPLY_BASE + node_id, canopen.ObjectDictionary())
         client.network = network
         client.RESPONSE_TIMEOUT = timing.sdo_timeout_s
         # canopen counts the first attempt as a retry
         client.MAX_RETRIES = timing.sdo_attempts  # pyright: ignore[reportAttributeAccessIssue]
         self._client = client
+        self._foreign_requests = self._answers = self._unasked = 0
 
-    def on_reply(self, data: bytes) -> None:
-        """A frame on the node's SDO reply COB-ID; anything but 8 bytes is no SDO (CiA 301, 7.2.4.3)."""
-        if len(data) == 8:
-            self._answer(data)
+    def begin(self) -> None:
+        """A bring-up begins: what was asked before is settled."""
+        self._unasked = 0
+        self._answers = self._asked()
+
+    def on_reply(self, data: bytes) -> bool:
+        """A frame on the node's SDO reply COB-ID; True where it shows that two nodes answer.
+
+        Anything but 8 bytes is no SDO (CiA 301, 7.2.4.3). An answer that nobody asked for is not handed on.
+        """
+        if len(data) != 8:
+            return False
+        if self._answers >= self._asked():
+            self._unasked += 1
+            return self._unasked >= UNASKED_LIMIT
+        self._answers += 1
+        self._answer(data)
+        return False
+
+    def on_request(self, data: bytes) -> bool:
+        """A request that another master sent to the node; True where it writes. Its answer is not ours."""
+        if len(data) != 8 or data == self._network.asked.get(self._request_id):
+            return False  # the second: our own, come back by an interface that echoes
+        if data[0] != SDO_ABORT:
+            self._foreign_requests += 1
+        return data[0] & CLIENT_COMMAND in DOWNLOADS
+
+    def _asked(self) -> int:
+        return self._network.requests.get(self._request_id, 0) + self._foreign_requests
 
     def interrupt(self) -> None:
         """Fail the transfer in progress; the client empties its queue before the next one."""
@@ -89,15 +134,19 @@ class SdoPort:
 
     async def read(self, address: Address) -> int | None:
         """Upload an unsigned value; None where the node says that it has no such object."""
+        data = await self.upload(address)
+        return None if data is None else int.from_bytes(data, "little")
+
+    async def upload(self, address: Address) -> bytes | None:
+        """The bytes of an object; None where the node says that it has no such object."""
         try:
-            data = await self._call(self._client.upload, *address)
+            return await self._call(self._client.upload, *address)
         except SdoAbortedError as abort:
             if abort.code in ABSENT_CODES:
                 return None
             raise NodeFault(f"the node does not tell {shown(address)}: {abort}") from abort
         except SdoCommunicationError as error:
             raise LinkError(f"SDO read of {shown(address)}: {error}") from error
-        return int.from_bytes(data, "little")
 
     async def write(self, write: SdoWrite) -> None:
         """Download one value."""
