@@ -1,4 +1,4 @@
-"""`trueangled`: run, check-config, check-model, registers.
+"""`trueangled`: run, check-config, check-model, registers, and the commands of `trueangle.commands`.
 
 Exit codes: 0 done; 1 the service could not go on (port taken); 2 bad input, every fault on a line of its own.
 """
@@ -11,6 +11,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from trueangle.commands import monitor
 from trueangle.config import DaemonConfig, load_config
 from trueangle.contract.errors import ContractError, TrueangleError
 from trueangle.contract.metadata import ModelMetadata
@@ -63,6 +64,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     registers.add_argument("--format", choices=list(_RENDERERS), default="text")
     registers.set_defaults(command=_registers)
+
+    for module in (monitor,):
+        module.add_parser(commands)
     return parser
 
 

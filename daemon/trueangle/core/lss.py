@@ -89,7 +89,7 @@ def switch_global(mode: int) -> Generator[LssRequest, Answers, None]:
 
 
 def select(identity: LssIdentity) -> Generator[LssRequest, Answers, None]:
-    """Put exactly this unit into CONFIGURATION, every other one into WAITING first; LinkError where it is silent."""
+    """Put exactly this unit into CONFIGURATION, all others into WAITING first; LinkError where it is silent."""
     yield from switch_global(WAITING)
     answers: Answers = ()
     for code, number in zip(_SWITCH_SELECTIVE, identity.numbers, strict=True):
@@ -250,7 +250,7 @@ def _only(answers: Answers, code: int, service: str) -> bytes:
             f"LSS {service}: expected one unit, {len(answers)} answered ({listed}); "
             "select one by its identity, or connect one at a time"
         )
-    answer = answers[0]
+    (answer,) = answers
     if len(answer) != 8 or answer[0] != code:
         raise NodeFault(f"LSS {service}: expected 8 bytes with code 0x{code:02X}, got {_shown(answer)}")
     return answer

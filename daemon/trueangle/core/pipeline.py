@@ -183,6 +183,8 @@ class Pipeline:
         self._registers = registers
         self._publish = publish
         self._on_status = on_status
+        self.service_bits = ServiceBit(0)
+        """What others than the pipeline have to say of the service."""
         self._today = today
         self._day_checked_ns: int | None = None
         self._table: dict[tuple[str, int], tuple[_Joint, _Head, FrameLayout]] = {}
@@ -401,7 +403,7 @@ class Pipeline:
             self._registers.image(
                 cycle=self.counters.images & 0xFFFFFFFF,
                 heartbeat=self.counters.cycles & 0xFFFF,
-                service_status=int(service),
+                service_status=int(service | self.service_bits),
                 states=states,
             )
         )

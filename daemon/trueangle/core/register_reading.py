@@ -108,6 +108,8 @@ class DetailReading:
     calibration_date: int | None
     """YYYYMMDD"""
     serial_number: int | None
+    user_zero_arcsec: float | None
+    """Taken off `corrected_deg`: corrected = raw + correction - user zero."""
     torn: bool
 
     @property
@@ -161,6 +163,7 @@ def read_detail(data: bytes, slot: int) -> DetailReading:
         model_id=model_id if isinstance(model_id, bytes) else None,
         calibration_date=_optional_whole(values["calibration_date"]),
         serial_number=_optional_whole(values["serial_number"]),
+        user_zero_arcsec=_scaled(values.get("user_zero"), 1000),
         torn=values["cycle_counter"] != values["cycle_counter_tail"],
     )
 

@@ -44,9 +44,7 @@ class ModbusReader:
         if self._streams is None:
             raise LinkError(f"{self.where}: not connected")
         self._transaction = (self._transaction + 1) & 0xFFFF
-        request = ReadRequest(
-            transaction=self._transaction, unit_id=self.unit_id, address=address, count=count
-        )
+        request = ReadRequest(transaction=self._transaction, unit_id=self.unit_id, address=address, count=count)
         reader, writer = self._streams
         try:
             async with asyncio.timeout(self._timeout_s):
