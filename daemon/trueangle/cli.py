@@ -7,18 +7,19 @@ import argparse
 import asyncio
 import logging
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from trueangle.commands import monitor
-from trueangle.config import DaemonConfig, load_config
+from trueangle.commands import monitor, record
+from trueangle.config import load_config
 from trueangle.contract.errors import ContractError, TrueangleError
 from trueangle.contract.metadata import ModelMetadata
 from trueangle.core.register_table import render_csv, render_markdown, render_text
 from trueangle.edges.onnx_model import load_model
 from trueangle.edges.systemd import ServiceNotifier
-from trueangle.service import LoadedJoint, Service, check_buses, load_joints
+from trueangle.service import Loaded, Service, load
 
 LOG_FORMAT = "%(levelname)s %(message)s"
 _RENDERERS = {"text": render_text, "markdown": render_markdown, "csv": render_csv}
@@ -65,34 +66,31 @@ def _parser() -> argparse.ArgumentParser:
     registers.add_argument("--format", choices=list(_RENDERERS), default="text")
     registers.set_defaults(command=_registers)
 
-    for module in (monitor,):
+    for module in (monitor, record):
         module.add_parser(commands)
     return parser
 
 
-def _load(path: Path) -> tuple[DaemonConfig, tuple[LoadedJoint, ...]]:
-    config = load_config(path)
-    check_buses(config, source=str(path))
-    return config, load_joints(config, base=path.parent, source=str(path))
-
-
 def _run(options: argparse.Namespace) -> int:
+    # A reload that is asked for before the service can hear it is one that finds the files as they are read now.
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     logging.basicConfig(level=logging.INFO, format=LOG_FORMAT, stream=sys.stderr)
-    config, joints = _load(options.config)
+    loaded = load(options.config)
     notifier = ServiceNotifier(os.environ)
     try:
-        asyncio.run(_serve(config, joints, notifier))
+        asyncio.run(_serve(options.config, loaded, notifier))
     finally:
         notifier.close()
     return 0
 
 
-async def _serve(config: DaemonConfig, joints: tuple[LoadedJoint, ...], notifier: ServiceNotifier) -> None:
-    await Service(config, joints, notifier).run()
+async def _serve(path: Path, loaded: Loaded, notifier: ServiceNotifier) -> None:
+    await Service(loaded.config, loaded.joints, notifier, load_again=lambda: load(path)).run()
 
 
 def _check_config(options: argparse.Namespace) -> int:
-    config, joints = _load(options.config)
+    loaded = load(options.config)
+    config, joints = loaded.config, loaded.joints
     _say(f"{options.config}: good; {len(config.buses)} bus(es), {len(joints)} joint(s)")
     for joint in joints:
         entry = joint.config

@@ -7,13 +7,19 @@ from pymodbus.constants import ExcCodes
 from tests.fakes.modbus_tcp_client import frame, read_request, split_frames
 from tests.fakes.register_values import joint_identity, joint_state
 
-from trueangle.core.modbus_answer import ExceptionCode, ModbusTcpStream
+from trueangle.core.modbus_answer import ModbusTcpStream
+from trueangle.core.modbus_pdu import ExceptionCode, Identification, PduResponder
 from trueangle.core.registers import RegisterImage, RegisterMap
 
 UNIT_ID = 17
 IMAGE = RegisterMap([joint_identity()]).image(
     cycle=0xA1A2_A3A4, heartbeat=9, service_status=0, states={1: joint_state()}
 )
+
+
+def new_stream() -> ModbusTcpStream:
+    """A connection that may read and nothing else."""
+    return ModbusTcpStream(UNIT_ID, PduResponder(Identification(revision="1.2.3")))
 
 
 def feed(stream: ModbusTcpStream, data: bytes, image: RegisterImage | None = IMAGE, step: int = 260) -> bytes:
@@ -24,13 +30,13 @@ def feed(stream: ModbusTcpStream, data: bytes, image: RegisterImage | None = IMA
         take = min(step, len(space), len(data))
         assert take > 0
         space[:take] = data[:take]
-        answers += stream.answer(take, image)
+        answers += stream.answer(take, image, 0)
         data = data[take:]
     return answers
 
 
 def answer(data: bytes, image: RegisterImage | None = IMAGE) -> bytes:
-    return feed(ModbusTcpStream(UNIT_ID), data, image)
+    return feed(new_stream(), data, image)
 
 
 @pytest.mark.parametrize("function", [3, 4])
@@ -59,7 +65,17 @@ def test_a_read_is_answered_from_the_image_under_its_transaction_and_unit(functi
         pytest.param("04 ffff 007d", "84 02", id="end of the address space"),
         pytest.param("65 00 00", "e5 01", id="unknown function"),
         pytest.param("06 0000 0001", "86 01", id="write"),
-        pytest.param("2b 0e 01 00", "ab 01", id="identification"),
+        pytest.param("2b 0d 01 00", "ab 01", id="another encapsulated interface"),
+        pytest.param("01 0000 07d1", "81 03", id="2001 coils"),
+        pytest.param("02 0000 0000", "82 03", id="no discrete input"),
+        pytest.param("02 004f 0002", "82 02", id="out of a block of bits"),
+        pytest.param("02 07d0 0001", "82 02", id="coils of commands that are not enabled"),
+        pytest.param("05 07d0 ff00", "85 01", id="write of a coil"),
+        pytest.param("0f 07d0 0001 01 01", "8f 01", id="write of coils"),
+        pytest.param("10 1388 0001 02 0001", "90 01", id="write of registers"),
+        pytest.param("16 1388 ffff 0000", "96 01", id="masked write"),
+        pytest.param("17 0000 0001 1388 0001 02 0001", "97 01", id="exchange"),
+        pytest.param("03 1388 0001", "83 02", id="command block that is not enabled"),
         pytest.param("00", "80 01", id="function 0"),
         pytest.param("80 0000 0001", "80 01", id="function 0x80"),
         pytest.param("84 0000 0001", "84 01", id="exception bit in the request"),
@@ -94,12 +110,12 @@ def test_before_the_first_image_a_good_read_finds_the_server_busy() -> None:
     ],
 )
 def test_a_header_that_cannot_be_right_ends_the_stream_after_the_requests_before_it(header: str) -> None:
-    stream = ModbusTcpStream(UNIT_ID)
+    stream = new_stream()
     good = read_request(4, 0, 1, unit=0)
     answers = feed(stream, good + bytes.fromhex(header) + good)
     assert len(split_frames(answers)) == 1
     assert stream.broken is not None
-    assert stream.answer(12, IMAGE) == b""
+    assert stream.answer(12, IMAGE, 0) == b""
 
 
 def test_the_longest_and_the_shortest_frame_are_understood() -> None:
@@ -114,21 +130,21 @@ def test_the_longest_and_the_shortest_frame_are_understood() -> None:
 @pytest.mark.parametrize("step", [1, 2, 5, 7, 11, 13, 260])
 def test_pipelined_requests_are_all_answered_in_order_however_they_are_cut(step: int) -> None:
     requests = [read_request(4, number % 80, 2, transaction=number, unit=0) for number in range(100)]
-    frames = split_frames(feed(ModbusTcpStream(UNIT_ID), b"".join(requests), step=step))
+    frames = split_frames(feed(new_stream(), b"".join(requests), step=step))
     assert [int.from_bytes(one[:2], "big") for one in frames] == list(range(100))
     assert [one[9:] for one in frames] == [IMAGE.read(number % 80, 2) for number in range(100)]
 
 
 def test_one_read_of_the_buffer_answers_no_more_than_it_holds() -> None:
-    stream = ModbusTcpStream(UNIT_ID)
+    stream = new_stream()
     requests = read_request(4, 0, 84, unit=0) * 30
     assert len(stream.free_space()) == 260
     stream.free_space()[:] = requests[:260]
-    assert len(split_frames(stream.answer(260, IMAGE))) == 21
+    assert len(split_frames(stream.answer(260, IMAGE, 0))) == 21
 
 
 def test_requests_and_exceptions_are_counted() -> None:
-    stream = ModbusTcpStream(UNIT_ID)
+    stream = new_stream()
     feed(stream, read_request(4, 0, 1, unit=0) + read_request(4, 0, 0, unit=0) + read_request(4, 0, 1, unit=9))
     assert (stream.requests, stream.exceptions) == (3, 2)
 
@@ -138,9 +154,45 @@ def test_exception_codes_are_those_of_the_specification_as_pymodbus_has_them() -
         ExcCodes.ILLEGAL_FUNCTION,
         ExcCodes.ILLEGAL_ADDRESS,
         ExcCodes.ILLEGAL_VALUE,
+        ExcCodes.DEVICE_FAILURE,
         ExcCodes.DEVICE_BUSY,
         ExcCodes.GATEWAY_NO_RESPONSE,
     ]
+
+
+BITS_SET = {0, 32, 100, 101}
+"""VALID and CONFIGURED of slot 1, in the summary and in its status word."""
+OBJECTS = (b"trueangle", b"trueangled", b"1.2.3", b"", b"corrected encoder angles", b"register map 1")
+
+
+def expected_bits(pdu: bytes) -> tuple[int, bytes | None]:
+    """Exception code, or what follows the byte count."""
+    if len(pdu) != 5 or not 1 <= (count := int.from_bytes(pdu[3:5], "big")) <= 2000:
+        return 3, None
+    wanted = range(start := int.from_bytes(pdu[1:3], "big"), start + count)
+    if not any(wanted[0] >= block[0] and wanted[-1] <= block[-1] for block in (range(80), range(100, 1124))):
+        return 2, None
+    packed = bytearray((count + 7) // 8)
+    for place, address in enumerate(wanted):
+        packed[place // 8] |= (address in BITS_SET) << place % 8
+    return 0, bytes(packed)
+
+
+def expected_identification(pdu: bytes) -> tuple[int, bytes | None]:
+    """Exception code, or what follows the function code."""
+    if len(pdu) < 2 or pdu[1] != 14:
+        return 1, None
+    if len(pdu) != 4 or pdu[2] not in (1, 2, 3, 4):
+        return 3, None
+    if pdu[2] == 4:
+        if pdu[3] > 5:
+            return 2, None
+        chosen = [pdu[3]]
+    else:
+        last = 2 if pdu[2] == 1 else 5
+        chosen = list(range(pdu[3] if pdu[3] <= last else 0, last + 1))
+    answer = bytes([14, pdu[2], 0x82, 0, 0, len(chosen)])
+    return 0, answer + b"".join(bytes([i, len(OBJECTS[i])]) + OBJECTS[i] for i in chosen)
 
 
 def expected_answers(data: bytes) -> tuple[list[bytes], bool]:
@@ -153,9 +205,14 @@ def expected_answers(data: bytes) -> tuple[list[bytes], bool]:
         if len(data) < 6 + length:
             break
         transaction, unit, pdu = int.from_bytes(data[:2], "big"), data[6], data[7 : 6 + length]
-        function, registers = pdu[0], None
+        function = pdu[0]
+        registers: bytes | None = None
         if unit not in (0, 255, UNIT_ID):
             code = 0x0B
+        elif function in (1, 2):
+            code, registers = expected_bits(pdu)
+        elif function == 0x2B:
+            code, registers = expected_identification(pdu)
         elif function not in (3, 4):
             code = 1
         elif len(pdu) != 5 or not 1 <= (count := int.from_bytes(pdu[3:5], "big")) <= 125:
@@ -163,9 +220,12 @@ def expected_answers(data: bytes) -> tuple[list[bytes], bool]:
         else:
             code = 2
             registers = IMAGE.read(int.from_bytes(pdu[1:3], "big"), count)
-        answer_pdu = (
-            bytes([function | 0x80, code]) if registers is None else bytes([function, len(registers)]) + registers
-        )
+        if registers is None:
+            answer_pdu = bytes([function | 0x80, code])
+        elif function == 0x2B:
+            answer_pdu = bytes([function]) + registers
+        else:
+            answer_pdu = bytes([function, len(registers)]) + registers
         answers.append(frame(answer_pdu, transaction=transaction, unit=unit))
         data = data[6 + length :]
     return answers, True
@@ -179,13 +239,25 @@ _REQUESTS = st.builds(
     transaction=st.integers(0, 65535),
     unit=st.sampled_from([0, 255, UNIT_ID, 5]),
 )
+_PDUS = st.one_of(
+    st.builds(
+        lambda function, address, count: bytes([function]) + address.to_bytes(2, "big") + count.to_bytes(2, "big"),
+        st.sampled_from([1, 2]),
+        st.integers(0, 1200),
+        st.integers(0, 2002),
+    ),
+    st.builds(lambda access, number: bytes([0x2B, 14, access, number]), st.integers(0, 5), st.integers(0, 7)),
+)
+_GOOD_FRAMES = st.builds(frame, _PDUS, unit=st.sampled_from([0, 255]))
 _FRAMES = st.builds(frame, st.binary(min_size=1, max_size=253), unit=st.sampled_from([0, 255, 5]))
 
 
 @st.composite
 def _streams(draw: st.DrawFn) -> bytes:
     """Good requests and any PDUs, then bytes changed, inserted or lost."""
-    data = bytearray(b"".join(draw(st.lists(_REQUESTS | _FRAMES | st.binary(max_size=20), max_size=12))))
+    data = bytearray(
+        b"".join(draw(st.lists(_REQUESTS | _FRAMES | _GOOD_FRAMES | st.binary(max_size=20), max_size=12)))
+    )
     for _ in range(draw(st.integers(0, 3))):
         at = draw(st.integers(0, len(data)))
         data[at : at + draw(st.integers(0, 2))] = draw(st.binary(max_size=3))
@@ -194,7 +266,7 @@ def _streams(draw: st.DrawFn) -> bytes:
 
 @given(data=_streams() | st.binary(max_size=600), steps=st.lists(st.integers(1, 300), min_size=1, max_size=40))
 def test_any_bytes_in_any_pieces_are_answered_as_the_specification_says(data: bytes, steps: list[int]) -> None:
-    stream = ModbusTcpStream(UNIT_ID)
+    stream = new_stream()
     answers, at = b"", 0
     for number in range(len(data)):
         if at >= len(data) or stream.broken is not None:

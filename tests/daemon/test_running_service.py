@@ -245,8 +245,8 @@ def test_dropped_frames_take_every_joint_of_the_bus_out_until_it_was_identified_
     async def scenario(r: Rig) -> None:
         await r.until_status(1, StatusBit.VALID)
         device.reads.clear()
-        (bus,) = r.service._buses.values()
-        bus.counters.frames_dropped += 3
+        (line,) = r.service._lines.values()
+        line.counters.frames_dropped += 3
         await r.until(1, lambda read: StatusBit.NODE_NOT_READY in read.status)
         await r.until_status(1, StatusBit.VALID)
         assert {(0x1018, 4), (0x6003, 0), (0x1A00, 1)} <= set(device.reads)

@@ -64,6 +64,10 @@ class FakeDevice:
     refuses: dict[Address, int] = field(default_factory=dict[Address, int])
     """Abort code for writes to these objects."""
     answers_wrong_object: bool = False
+    answers_twice: bool = False
+    """A second unit with the same node-id hears every request too."""
+    forgets: set[Address] = field(default_factory=set[Address])
+    """Writes to these are confirmed and change nothing."""
     writes: list[tuple[int, int, int]] = field(default_factory=list[tuple[int, int, int]])
     """Index, subindex, value of each SDO download, in order."""
     nmt: list[int] = field(default_factory=list[int])
@@ -122,7 +126,7 @@ class FakeDevice:
         if abort:
             self._abort(address, abort)
             return
-        if not (self.ignores_mapping and 0x1A00 <= index <= 0x1A03):
+        if not (self.ignores_mapping and 0x1A00 <= index <= 0x1A03) and address not in self.forgets:
             self.objects[address] = (value, self.objects[address][1])
         self._reply(0x60, address, 0)
 
@@ -135,7 +139,8 @@ class FakeDevice:
         return DEVICE_STATE if subindex and self.objects[index, 0][0] else 0
 
     def _reply(self, command: int, address: Address, value: int) -> None:
-        self.send(0x580 + self.node_id, struct.pack("<BHBI", command, *address, value))
+        for _ in range(2 if self.answers_twice else 1):
+            self.send(0x580 + self.node_id, struct.pack("<BHBI", command, *address, value))
 
     def _abort(self, address: Address, code: int) -> None:
         self._reply(0x80, address, code)

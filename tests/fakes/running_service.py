@@ -20,7 +20,7 @@ from tests.fakes.modbus_tcp_client import ModbusTcpClient, read_request
 from trueangle.config import parse_config
 from trueangle.core.health import StatusBit
 from trueangle.edges.systemd import ServiceNotifier
-from trueangle.service import Service, load_joints
+from trueangle.service import Loaded, Service, load_joints
 
 MODELS = Path(__file__).parents[1] / "data" / "models"
 LIMIT_S = 20.0
@@ -193,14 +193,18 @@ def port_of(messages: list[str]) -> int | None:
 
 @asynccontextmanager
 async def started(
-    config: str, caplog: pytest.LogCaptureFixture, environment: Mapping[str, str] | None = None
+    config: str,
+    caplog: pytest.LogCaptureFixture,
+    environment: Mapping[str, str] | None = None,
+    load_again: Callable[[], Loaded] | None = None,
 ) -> AsyncIterator[Rig]:
     """The service as the command line would run it, listening; stopped in order at the end, no task left."""
     caplog.set_level("INFO")
     first = len(caplog.messages)
     parsed = parse_config(config, source="test.yaml")
     notifier = ServiceNotifier(environment or {})
-    service = Service(parsed, load_joints(parsed, base=MODELS, source="test.yaml"), notifier)
+    joints = load_joints(parsed, base=MODELS, source="test.yaml")
+    service = Service(parsed, joints, notifier, load_again=load_again)
     task = asyncio.create_task(service.run())
     try:
         async with asyncio.timeout(LIMIT_S):

@@ -15,9 +15,9 @@ class Commands(Protocol):
         self,
         name: str,
         *,
-        help: str,
+        help: str,  # noqa: A002 - argparse's own word
         description: str,
-        epilog: str,  # noqa: A002 - argparse's own word
+        epilog: str,
     ) -> argparse.ArgumentParser:
         """A parser for one command."""
         ...

@@ -39,8 +39,8 @@ COLUMNS = (
 """In the order in which they are written."""
 
 RECORD_MARK = "# trueangled record"
-"""How a file of the daemon's recorder begins. Only there is a last line without its end taken for cut off by a loss
-of power: in a file of anybody else it is a line."""
+"""How a file of the daemon's recorder begins. Only there is a last line without its end taken for cut off by a
+loss of power: in a file of anybody else it is a line."""
 
 NEW_RUN_GAP_S = 600.0
 NEW_RUN_STEP_C = 1.0

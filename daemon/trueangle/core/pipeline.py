@@ -8,7 +8,7 @@ word, the others go on.
 """
 
 import datetime
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from trueangle.core.calendar_day import is_past_due
@@ -183,10 +183,23 @@ class Pipeline:
         self._registers = registers
         self._publish = publish
         self._on_status = on_status
-        self.service_bits = ServiceBit(0)
-        """What others than the pipeline have to say of the service."""
         self._today = today
         self._day_checked_ns: int | None = None
+        self._on_clash = on_clash
+        self._sensor_plans = tuple(sensors)
+        self._lay_table()
+        self._bus_up = {joint.channel.bus: False for joint in self._joints.values()}
+        self._syncs = {joint.channel.bus: SyncHistory() for joint in self._joints.values()}
+        self._awaited: set[int] = set()
+        self.counters = PipelineCounters()
+        self.last_image_ns: int | None = None
+        self.service_bits = ServiceBit(0)
+        """What the service itself has to tell, served with the next image."""
+        self.states: Mapping[int, JointState] = {}
+        """Each slot as last served."""
+
+    def _lay_table(self) -> None:
+        """Where each COB-ID leads, from the joints as they are."""
         self._table: dict[tuple[str, int], tuple[_Joint, _Head, FrameLayout]] = {}
         for joint in self._joints.values():
             plans = (joint.channel.plan, *(head.plan for head in joint.channel.further_heads))
@@ -195,7 +208,6 @@ class Pipeline:
                     if layout.slot is not None:
                         self._table[joint.channel.bus, cob_id] = (joint, head, layout)
         self._fused = [joint for joint in self._joints.values() if joint.fusion is not None]
-        self._on_clash = on_clash or (lambda _slot, _reason: None)
         self._sensors = SensorNodes(
             {slot: joint.sample for slot, joint in self._joints.items()},
             [
@@ -203,13 +215,8 @@ class Pipeline:
                 for slot, j in self._joints.items()
             ],
         )
-        for bus, plan in sensors:
+        for bus, plan in self._sensor_plans:
             self._sensors.add(bus, plan)
-        self._bus_up = {joint.channel.bus: False for joint in self._joints.values()}
-        self._syncs = {joint.channel.bus: SyncHistory() for joint in self._joints.values()}
-        self._awaited: set[int] = set()
-        self.counters = PipelineCounters()
-        self.last_image_ns: int | None = None
 
     def process_data(self, bus: str) -> frozenset[int]:
         """The COB-IDs on this bus that are the pipeline's; every other frame is the master's."""
@@ -349,13 +356,17 @@ class Pipeline:
     def _on_two_senders(self, joint: _Joint, head: _Head, now_ns: int) -> None:
         head.sample.two_senders = False
         if head.clash.on_evidence(now_ns) and head is joint:
-            self._on_clash(joint.channel.slot, "two nodes send its positions")
+            self._ask_again(joint.channel.slot, "two nodes send its positions")
 
     def _end_clashes(self, now_ns: int) -> None:
         """Which of the two nodes is left is known only when it was identified again."""
         for slot, joint in self._joints.items():
             if joint.clash.active and joint.clash.ends(now_ns):
-                self._on_clash(slot, "two nodes sent its positions, one is left")
+                self._ask_again(slot, "two nodes sent its positions, one is left")
+
+    def _ask_again(self, slot: int, reason: str) -> None:
+        if self._on_clash is not None:
+            self._on_clash(slot, reason)
 
     def _end_cycle(self, now_ns: int) -> None:
         self._awaited.clear()
@@ -399,6 +410,7 @@ class Pipeline:
             service |= ServiceBit.BUS_DOWN
         self.counters.images += 1
         self.last_image_ns = now_ns
+        self.states = states
         self._publish(
             self._registers.image(
                 cycle=self.counters.images & 0xFFFFFFFF,
@@ -491,3 +503,54 @@ class Pipeline:
     def statuses(self) -> Mapping[int, StatusBit]:
         """The status word of each slot as last served."""
         return {slot: joint.status for slot, joint in self._joints.items()}
+
+    def hand_on(self) -> "PipelineState":
+        """What the pipeline in this one's place goes on with; this one must not be called again."""
+        return PipelineState(
+            joints=self._joints,
+            syncs=self._syncs,
+            awaited=frozenset(self._awaited),
+            sensors=self._sensors.alive,
+            counters=self.counters,
+            last_image_ns=self.last_image_ns,
+            service_bits=self.service_bits,
+        )
+
+    def take_over(
+        self,
+        state: "PipelineState",
+        *,
+        buses: Mapping[str, bool],
+        slots: Collection[int],
+        nodes: Collection[tuple[str, int]],
+    ) -> None:
+        """Go on where another ended: buses that stay open, each up or not, and joints and nodes that stay.
+
+        Samples, corrections and the place in the cycle of a joint that stays are moved, not copied.
+        """
+        self.counters, self.last_image_ns = state.counters, state.last_image_ns
+        self.service_bits = state.service_bits
+        for bus in self._bus_up.keys() & buses.keys():
+            self._bus_up[bus] = buses[bus]
+            self._syncs[bus] = state.syncs.get(bus, self._syncs[bus])
+        for slot in slots:
+            self._joints[slot] = state.joints[slot]
+        keys = {head.key for slot in slots for head in self._joints[slot].heads}
+        self._awaited = set(state.awaited & keys)
+        self._lay_table()
+        self._sensors.go_on_with(state.sensors & frozenset(nodes))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PipelineState:
+    """All that a pipeline knows beside its configuration."""
+
+    joints: Mapping[int, _Joint]
+    syncs: Mapping[str, SyncHistory]
+    awaited: frozenset[int]
+    """Keys of reading heads."""
+    sensors: frozenset[tuple[str, int]]
+    """Nodes in service that tell a temperature."""
+    counters: PipelineCounters
+    last_image_ns: int | None
+    service_bits: ServiceBit

@@ -1,8 +1,8 @@
 """What a recording says of one joint: the columns of a campaign file, and the quality beside them.
 
-Rules of this file: the first columns are those that `trueangle diagnose` and `train` read (`contract.calibration`),
-so a recording with reference angles is a campaign; a value that is not known is an empty cell; the last column is
-one that nobody calculates with, because the end of a file is where a loss of power cuts.
+Rules of this file: the first columns are those that `trueangle diagnose` and `train` read
+(`contract.calibration`), so a recording with reference angles is a campaign; a value that is not known is an empty
+cell; the last column is one that nobody calculates with, because a loss of power cuts the end of a file.
 """
 
 import re
@@ -46,9 +46,8 @@ class RecordedJoint:
     def header(self) -> str:
         """What every file begins with, the line of columns last."""
         return (
-            f"{RECORD_MARK}: slot {self.slot}, joint {self.name}; angle_deg is raw, error_arcsec = raw - reference\n"
-            + ",".join(COLUMNS)
-            + "\n"
+            f"{RECORD_MARK}: slot {self.slot}, joint {self.name}; "
+            "angle_deg is raw, error_arcsec = raw - reference\n" + ",".join(COLUMNS) + "\n"
         )
 
     def file_name(self, number: int, stamp: str) -> str:

@@ -214,3 +214,31 @@ def fast_slot_offset(slot: int) -> int:
 def detail_address(slot: int) -> int:
     """0-based address of a slot's detail block."""
     return BLOCK_STRIDE * (FIRST_DETAIL_BLOCK + slot - 1)
+
+
+COMMAND_BLOCK_ADDRESS = 5000
+"""0-based; behind the last detail block. Readable and writable only where the configuration enables commands."""
+
+COMMAND_WRITABLE = (
+    RegisterField("slot", _T.UINT16, "joint that the command is for, 1 to 32", may_be_missing=False),
+    RegisterField(
+        "angle",
+        _T.INT32,
+        "0 to 1295999999; preset: what this position shall read; reference angle: what the reference reads",
+        "arcsec",
+        "0.001",
+        may_be_missing=False,
+    ),
+    RegisterField(
+        "command", _T.UINT16, "a number written here is executed with slot and angle", may_be_missing=False
+    ),
+)
+
+COMMAND_ANSWER = (
+    RegisterField("result", _T.UINT16, "what became of this connection's last command", may_be_missing=False),
+    RegisterField("armed_slot", _T.UINT16, "slot that this connection has armed; 0: none", may_be_missing=False),
+    RegisterField("armed_left", _T.UINT16, "time left to confirm; 0: not armed", "ms", may_be_missing=False),
+    RegisterField(
+        "commands", _T.UINT16, "counts this connection's commands, refused ones too", may_be_missing=False
+    ),
+)

@@ -70,3 +70,12 @@ class SensorNodes:
         if (bus, node_id) in self._alive:
             for slot in self._slots.get((bus, node_id), ()):
                 self._samples[slot].confirm_temperature(stamp_ns)
+
+    @property
+    def alive(self) -> frozenset[tuple[str, int]]:
+        """The nodes in service, each with its bus."""
+        return frozenset(self._alive)
+
+    def go_on_with(self, nodes: Iterable[tuple[str, int]]) -> None:
+        """These are in service, and what they have told still counts."""
+        self._alive.update(nodes)

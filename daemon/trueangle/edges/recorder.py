@@ -229,8 +229,9 @@ class Recorder:
         every_s: float,
         files: RecordFiles | None = None,
     ) -> None:
-        self._joints = tuple(joints)
-        self._makers = {joint.slot: RowMaker() for joint in joints}
+        self.joints = tuple(joints)
+        """Replaced as a whole where a reload changes them."""
+        self._makers: dict[int, RowMaker] = {}
         self._sink = PatientRecorder(files or RecordFiles(directory, limits), directory)
         self._every_ns = round(every_s * 1e9)
         self._due_ns: int | None = None
@@ -263,7 +264,7 @@ class Recorder:
 
     def note_reference(self, slot: int, reference_deg: float) -> None:
         """The joint stands at this true angle now: the next image is recorded with it."""
-        if slot in self._makers:
+        if any(joint.slot == slot for joint in self.joints):
             self._references[slot] = reference_deg
 
     def offer(self, image: RegisterImage, now_ns: int) -> None:
@@ -291,12 +292,12 @@ class Recorder:
 
     def _record(self, image: RegisterImage, references: Mapping[int, float], now_ns: int, wall_s: float) -> None:
         moment = datetime.datetime.fromtimestamp(wall_s, datetime.UTC)
-        for joint in self._joints:
+        for joint in self.joints:
             block = detail_block(joint.slot)
             data = image.read(block.address, block.count)
             if data is None:
                 continue
-            line = self._makers[joint.slot].row(
+            line = self._makers.setdefault(joint.slot, RowMaker()).row(
                 read_detail(data, joint.slot),
                 reference_deg=references.get(joint.slot),
                 time_s=(now_ns - self._started_ns) * 1e-9,

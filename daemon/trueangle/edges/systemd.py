@@ -1,4 +1,4 @@
-"""Telling systemd how the service does: READY, STATUS, WATCHDOG (sd_notify(3)).
+"""Telling systemd how the service does: READY, RELOADING, STATUS, WATCHDOG (sd_notify(3)).
 
 The datagram protocol is public and three lines long; a library would add a dependency for them.
 """
@@ -6,6 +6,8 @@ The datagram protocol is public and three lines long; a library would add a depe
 import os
 import socket
 from collections.abc import Mapping
+
+MAX_STATUS = 1000
 
 
 class ServiceNotifier:
@@ -34,15 +36,19 @@ class ServiceNotifier:
         return True
 
     def ready(self, status: str) -> None:
-        """The service serves every joint or has said why not."""
-        self._ready_unheard = not self._send(f"READY=1\nSTATUS={status}")
+        """The service serves every joint or has said why not; also ends what `reloading` began."""
+        self._ready_unheard = not self._send(f"READY=1\nSTATUS={_one_line(status)}")
+
+    def reloading(self, monotonic_us: int) -> None:
+        """A reload has begun, at this CLOCK_MONOTONIC; systemd waits for READY."""
+        self._send(f"RELOADING=1\nMONOTONIC_USEC={monotonic_us}")
 
     def status(self, status: str) -> None:
         """One line for `systemctl status`; with a READY that was not taken, said again."""
         if self._ready_unheard:
             self.ready(status)
         else:
-            self._send(f"STATUS={status}")
+            self._send(f"STATUS={_one_line(status)}")
 
     def alive(self) -> None:
         """Feed the watchdog."""
@@ -57,6 +63,12 @@ class ServiceNotifier:
         if self._socket is not None:
             self._socket.close()
             self._socket = None
+
+
+def _one_line(text: str) -> str:
+    """As one line, so that a text of a file's making is no message of its own; cut where nobody reads on."""
+    line = " ".join(text.split())
+    return line if len(line) <= MAX_STATUS else f"{line[:MAX_STATUS]}..."
 
 
 def _watchdog_interval_s(environment: Mapping[str, str]) -> float | None:

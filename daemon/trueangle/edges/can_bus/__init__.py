@@ -19,7 +19,9 @@ import can
 from trueangle.config import BusConfig
 from trueangle.contract.errors import Fault
 from trueangle.core.bus import backoff_s, next_sync
-from trueangle.edges.can_bus.link import BusCounters, BusOpener, Frame, FrameHandler, Link
+from trueangle.core.bus_health import ControllerState, Trouble, read_error_frame
+from trueangle.core.health import ServiceBit
+from trueangle.edges.can_bus.link import BusCounters, BusOpener, Frame, FrameHandler, Link, LinkOwner, lose
 from trueangle.edges.can_bus.socketcan import SocketcanLink
 from trueangle.edges.can_bus.threaded import ThreadedLink
 from trueangle.errors import LinkError
@@ -39,7 +41,7 @@ class CanBus:
 
     `on_frames(batch)`, `on_bus_state(up, reason)` and `on_sync(stamp_ns)` are called on the loop's thread.
     Error, remote and extended frames are counted and not handed on. SYNC frames of another producer are part
-    of `on_frames`; `on_sync` is called just before an own SYNC leaves.
+    of `on_frames`; `on_sync` is called for each own SYNC that left, with the time just before.
     """
 
     def __init__(
@@ -58,10 +60,15 @@ class CanBus:
         self._on_sync = on_sync
         self._opener = opener or open_python_can
         self._link: Link | None = None
+        self._lost: asyncio.Future[str] | None = None
+        """Ends the present opening of the bus."""
         self._sending = threading.Lock()
         self._tasks = asyncio.TaskGroup()
         self._life: asyncio.Task[None] | None = None
         self._reported: tuple[bool, str] | None = None
+        self._cob_ids: frozenset[int] | None = None
+        self._degraded, self._dropping = Trouble(), Trouble()
+        self._drops_seen = 0
 
     async def __aenter__(self) -> Self:
         await self._tasks.__aenter__()
@@ -89,6 +96,52 @@ class CanBus:
                 raise
             self.counters.sent += 1
 
+    def listen_to(self, cob_ids: frozenset[int] | None) -> None:
+        """Hand on frames of these COB-IDs only, so that foreign traffic costs little; None: all of them."""
+        self._cob_ids = cob_ids
+        if self._link is not None:
+            self._link.listen_to(cob_ids)
+
+    def service_bits(self, now_ns: int) -> ServiceBit:
+        """What speaks against the bus although it is open; asked from time to time, logs beginning and end."""
+        drops = self.counters.frames_dropped
+        if drops != self._drops_seen:
+            self._dropping.seen("frames were dropped unread", now_ns, count=drops - self._drops_seen)
+            self._drops_seen = drops
+        bits = ServiceBit(0)
+        for trouble, bit in (
+            (self._degraded, ServiceBit.BUS_DEGRADED),
+            (self._dropping, ServiceBit.FRAMES_DROPPED),
+        ):
+            self._log_trouble(trouble, bit, now_ns)
+            if trouble.stands:
+                bits |= bit
+        return bits
+
+    def _log_trouble(self, trouble: Trouble, bit: ServiceBit, now_ns: int) -> None:
+        change = trouble.change(now_ns)
+        if change is None:
+            return
+        event = f"{(bit.name or '').lower()}_{'begins' if change.begins else 'ends'}"
+        _log.log(
+            logging.WARNING if change.begins else logging.INFO,
+            "can_bus bus=%s event=%s reason=%r count=%d lasted_s=%.1f",
+            self.settings.name, event, change.reason, change.count, change.lasted_s,
+        )  # fmt: skip
+
+    def _on_error_frame(self, error_class: int, data: bytes) -> None:
+        """Counted by the link already."""
+        told = read_error_frame(error_class, data)
+        if told.state is ControllerState.BUS_OFF and self._lost is not None:
+            lose(self._lost, "controller is bus-off: check wiring, termination and bit rate")
+        elif told.state is ControllerState.ACTIVE:
+            self._degraded.over()
+        elif told.state is not None:
+            self._degraded.seen(told.text, time.monotonic_ns())
+        if told.lost_frames:
+            # Nobody knows how many; one is enough to trust no node of the bus until it was asked again.
+            self.counters.frames_dropped += 1
+
     def _open_link(self) -> Link:
         if self._link is None:
             raise LinkError(f"bus {self.settings.name}: down, nothing can be sent")
@@ -106,6 +159,8 @@ class CanBus:
     async def _open_until_lost(self) -> str:
         lost: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         link = self._new_link(lost)
+        link.listen_to(self._cob_ids)
+        self._lost = lost
         try:
             await link.open()
             self._link = link
@@ -123,9 +178,15 @@ class CanBus:
         return f"bus {self.settings.name}: {reason}"
 
     def _new_link(self, lost: asyncio.Future[str]) -> Link:
-        if self.settings.interface == "socketcan":
-            return SocketcanLink(self.settings, self._opener, self._on_frames, self.counters, lost)
-        return ThreadedLink(self.settings, self._opener, self._on_frames, self.counters, lost)
+        owner = LinkOwner(
+            settings=self.settings,
+            opener=self._opener,
+            on_frames=self._on_frames,
+            on_error_frame=self._on_error_frame,
+            counters=self.counters,
+            lost=lost,
+        )
+        return SocketcanLink(owner) if self.settings.interface == "socketcan" else ThreadedLink(owner)
 
     def _report(self, up: bool, reason: str) -> None:
         """Tell and log what changed; the same failure again is neither told nor logged."""
@@ -151,13 +212,15 @@ class CanBus:
             await asyncio.sleep((deadline_ns - time.monotonic_ns()) / 1e9)
             stamp_ns = time.monotonic_ns()
             link.hand_over()
-            if self._on_sync is not None:
-                self._on_sync(stamp_ns)
             try:
                 self.send(SYNC_COB_ID, b"")
-                self.counters.sync_sent += 1
             except LinkError:
                 self.counters.sync_skipped += 1
+            else:
+                self.counters.sync_sent += 1
+                # No answer can be handed on before this: both happen in one turn of the loop.
+                if self._on_sync is not None:
+                    self._on_sync(stamp_ns)
             step = next_sync(deadline_ns, period_ns, stamp_ns)
             self.counters.sync_skipped += step.skipped
             deadline_ns = step.deadline_ns

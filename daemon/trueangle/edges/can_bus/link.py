@@ -28,6 +28,8 @@ class BusCounters:
     error_frames: int = 0
     remote_frames: int = 0
     extended_frames: int = 0
+    foreign_frames: int = 0
+    """Of COB-IDs that nobody here listens to; those that the kernel's filter holds back are not counted."""
     sent: int = 0
     send_failures: int = 0
     sync_sent: int = 0
@@ -36,9 +38,27 @@ class BusCounters:
     times_opened: int = 0
 
 
+ErrorHandler = Callable[[int, bytes], None]
+"""Takes an error frame on the loop: its class (the CAN id without flags) and its data."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkOwner:
+    """What a link needs of the bus that opens it."""
+
+    settings: BusConfig
+    opener: BusOpener
+    on_frames: FrameHandler
+    on_error_frame: ErrorHandler
+    counters: BusCounters
+    lost: asyncio.Future[str]
+    """Set by the link with the reason for its end."""
+
+
 class Link(Protocol):
     """One opening of the bus, from `open` to `close`."""
 
+    def listen_to(self, cob_ids: frozenset[int] | None) -> None: ...
     async def open(self) -> None: ...
     def send(self, can_id: int, data: bytes) -> None: ...
     def hand_over(self) -> None: ...

@@ -6,20 +6,12 @@ import errno
 import os
 import socket
 import struct
+import sys
 import time
 
 import can
 
-from trueangle.config import BusConfig
-from trueangle.edges.can_bus.link import (
-    COALESCE_S,
-    BusCounters,
-    BusOpener,
-    Frame,
-    FrameHandler,
-    cannot_open,
-    lose,
-)
+from trueangle.edges.can_bus.link import COALESCE_S, Frame, LinkOwner, cannot_open, lose
 from trueangle.errors import LinkError
 
 RECEIVE_BUFFER_BYTES = 1 << 20
@@ -31,7 +23,13 @@ FULL_QUEUE_LIMIT = 50
 _CAN_FRAME = struct.Struct("=IB3x8s")
 """struct can_frame of linux/can.h: id with flags, length, 3 bytes of padding, data."""
 _EXTENDED, _REMOTE, _ERROR = 0x80000000, 0x40000000, 0x20000000
-_ERROR_BUS_OFF = 0x40
+_SOL_CAN_RAW, _CAN_RAW_FILTER, _CAN_RAW_ERR_FILTER = 101, 1, 2
+_CAN_FILTER = struct.Struct("=II")
+"""struct can_filter of linux/can.h: id and mask."""
+_STANDARD_DATA = _EXTENDED | _REMOTE | 0x7FF
+_ALL_ERRORS = 0x1FFFFFFF
+MAX_FILTERS = 512
+"""CAN_RAW_FILTER_MAX of linux/can.h."""
 _SO_MEMINFO, _MEMINFO_DROPS = 55, 8
 """asm-generic/socket.h and SK_MEMINFO_DROPS of linux/sock_diag.h: drops of a full receive buffer."""
 
@@ -39,22 +37,31 @@ _SO_MEMINFO, _MEMINFO_DROPS = 55, 8
 class SocketcanLink:
     """A raw SocketCAN socket read on the loop: no thread, no Message objects, the whole burst at once."""
 
-    def __init__(
-        self,
-        settings: BusConfig,
-        opener: BusOpener,
-        on_frames: FrameHandler,
-        counters: BusCounters,
-        lost: asyncio.Future[str],
-    ) -> None:
-        self._settings, self._opener, self._on_frames = settings, opener, on_frames
-        self._counters, self._lost = counters, lost
-        self._loop = lost.get_loop()
+    def __init__(self, owner: LinkOwner) -> None:
+        self._settings, self._opener, self._on_frames = owner.settings, owner.opener, owner.on_frames
+        self._counters, self._lost, self._on_error_frame = owner.counters, owner.lost, owner.on_error_frame
+        self._loop = owner.lost.get_loop()
         self._bus: can.BusABC | None = None
         self._socket: socket.socket | None = None
         self._drain_timer: asyncio.TimerHandle | None = None
         self._full_in_a_row = 0
         self._drops_seen = 0
+        self._cob_ids: frozenset[int] | None = None
+
+    def listen_to(self, cob_ids: frozenset[int] | None) -> None:
+        """Hand on only frames of these COB-IDs, None: all; the kernel sorts them out where it can."""
+        self._cob_ids = cob_ids
+        if self._socket is not None:
+            self._set_kernel_filter(self._socket)
+
+    def _set_kernel_filter(self, raw: socket.socket) -> None:
+        if self._cob_ids is None or len(self._cob_ids) > MAX_FILTERS:
+            filters = _CAN_FILTER.pack(0, 0)
+        else:
+            filters = b"".join(_CAN_FILTER.pack(cob_id, _STANDARD_DATA) for cob_id in sorted(self._cob_ids))
+        with contextlib.suppress(OSError):  # no raw CAN socket: the frames are sorted out one by one
+            raw.setsockopt(_SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, _ALL_ERRORS.to_bytes(4, sys.byteorder))
+            raw.setsockopt(_SOL_CAN_RAW, _CAN_RAW_FILTER, filters)
 
     async def open(self) -> None:
         try:
@@ -63,6 +70,7 @@ class SocketcanLink:
         except (can.CanError, OSError, ValueError, TypeError) as error:
             raise LinkError(cannot_open(self._settings, error)) from error
         self._socket = raw
+        self._set_kernel_filter(raw)
         self._loop.add_reader(raw.fileno(), self._wake)
 
     def send(self, can_id: int, data: bytes) -> None:
@@ -104,11 +112,13 @@ class SocketcanLink:
             return
         can_id, length, data = _CAN_FRAME.unpack(raw)
         if not can_id & (_EXTENDED | _REMOTE | _ERROR):
-            frames.append((can_id, data[:length], time.monotonic_ns()))
+            if self._cob_ids is None or can_id in self._cob_ids:
+                frames.append((can_id, data[:length], time.monotonic_ns()))
+            else:
+                self._counters.foreign_frames += 1
         elif can_id & _ERROR:
             self._counters.error_frames += 1
-            if can_id & _ERROR_BUS_OFF:
-                lose(self._lost, "controller is bus-off: check wiring, termination and bit rate")
+            self._on_error_frame(can_id & _ALL_ERRORS, data[:length])
         elif can_id & _REMOTE:
             self._counters.remote_frames += 1
         else:

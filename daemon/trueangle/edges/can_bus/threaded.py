@@ -15,13 +15,12 @@ from collections.abc import Callable
 
 import can
 
-from trueangle.config import BusConfig
 from trueangle.edges.can_bus.link import (
     COALESCE_S,
     BusCounters,
-    BusOpener,
     Frame,
     FrameHandler,
+    LinkOwner,
     cannot_open,
     lose,
 )
@@ -33,6 +32,8 @@ OUTBOX_FRAMES = 256
 RECEIVE_SLICE_S = 0.1
 OPEN_LIMIT_S = 5.0
 CLOSE_LIMIT_S = 2.0
+CLASSIFIES_ERRORS = frozenset({"socketcan", "socketcand"})
+"""Interfaces whose error frames carry the class bits of linux/can/error.h as their id."""
 
 
 class Inbox:
@@ -64,22 +65,22 @@ class Inbox:
 class ThreadedLink:
     """Any other python-can interface: their calls block, so one thread reads and one writes."""
 
-    def __init__(
-        self,
-        settings: BusConfig,
-        opener: BusOpener,
-        on_frames: FrameHandler,
-        counters: BusCounters,
-        lost: asyncio.Future[str],
-    ) -> None:
-        self._settings, self._opener, self._counters, self._lost = settings, opener, counters, lost
-        self._loop = lost.get_loop()
-        self._inbox = Inbox(self._loop, on_frames, counters)
+    def __init__(self, owner: LinkOwner) -> None:
+        settings = owner.settings
+        self._settings, self._opener, self._counters = settings, owner.opener, owner.counters
+        self._lost, self._on_error_frame = owner.lost, owner.on_error_frame
+        self._loop = owner.lost.get_loop()
+        self._inbox = Inbox(self._loop, owner.on_frames, owner.counters)
+        self._cob_ids: frozenset[int] | None = None
         self._outbox: queue.Queue[can.Message] = queue.Queue(OUTBOX_FRAMES)
         self._closing = threading.Event()
         self._opened: asyncio.Future[None] = self._loop.create_future()
         self._ended: asyncio.Future[None] = self._loop.create_future()
         self._reader = threading.Thread(target=self._read, name=f"can-read {settings.name}", daemon=True)
+
+    def listen_to(self, cob_ids: frozenset[int] | None) -> None:
+        """Hand on only frames of these COB-IDs, None: all."""
+        self._cob_ids = cob_ids
 
     async def open(self) -> None:
         # A daemon thread, because some interfaces hang in their constructor and nothing can call them back.
@@ -137,10 +138,14 @@ class ThreadedLink:
                 _raise_if_hung_up(bus)
             elif message.is_error_frame:
                 self._counters.error_frames += 1
+                if self._settings.interface in CLASSIFIES_ERRORS:
+                    self._tell(self._on_error_frame, message.arbitration_id, bytes(message.data))
             elif message.is_remote_frame:
                 self._counters.remote_frames += 1
             elif message.is_extended_id:
                 self._counters.extended_frames += 1
+            elif self._cob_ids is not None and message.arbitration_id not in self._cob_ids:
+                self._counters.foreign_frames += 1
             else:
                 self._inbox.put((message.arbitration_id, bytes(message.data), time.monotonic_ns()))
 

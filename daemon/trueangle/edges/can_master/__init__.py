@@ -6,7 +6,7 @@ because it was commanded, and its PdoMap.save() writes no mapping where an EDS d
 
 import asyncio
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from types import TracebackType
 from typing import Self
@@ -44,57 +44,80 @@ class CanMaster:
         on_alive: Callable[[int, int], None] | None = None,
         timing: MasterTiming | None = None,
     ) -> None:
-        timing = timing or MasterTiming()
+        self._bus, self._on_node, self._accept = bus, on_node, accept
+        self._timing = timing or MasterTiming()
         # canopen warns at each SDO time-out, twice a second while a node is away; the transition is logged here.
         logging.getLogger("canopen.sdo.client").setLevel(logging.CRITICAL)
-        self._threads = ThreadPoolExecutor(max(1, min(len(plans), MAX_SDO_THREADS)), "sdo")
-        self._network = SdoNetwork(bus)
-
-        def listener(plan: NodePlan) -> NodeListener:
-            slot, node_id = plan.slot, plan.node_id
-
-            def on_report(report: NodeReport) -> None:
-                if slot is not None:
-                    on_node(slot, report)
-                if on_sensor is not None:
-                    on_sensor(node_id, report)
-
-            return NodeListener(
-                on_report=on_report,
-                accept=lambda settings: [] if slot is None else accept(slot, settings),
-                on_value=on_value or (lambda *_: None),
-                on_alive=lambda stamp_ns: None if on_alive is None else on_alive(node_id, stamp_ns),
-            )
-
-        self._nodes = [
-            NodeSupervisor(
-                plan,
-                SdoPort(plan.node_id, self._network, self._threads, timing),
-                bus,
-                listener=listener(plan),
-                timing=timing,
-            )
-            for plan in plans
-        ]
-        self._by_id = dict(zip((plan.node_id for plan in plans), self._nodes, strict=True))
-        self._routes: Mapping[int, Callable[[bytes], None]] = {
-            cob_id: handler for node in self._nodes for cob_id, handler in node.routes().items()
-        }
+        self._on_sensor, self._on_value, self._on_alive = on_sensor, on_value, on_alive
+        self._threads = ThreadPoolExecutor(MAX_SDO_THREADS, "sdo")
+        self._bus_up: tuple[bool, str] = (False, "not open yet")
+        self._nodes = {plan.node_id: self._supervisor(plan) for plan in plans}
+        self._routes: Mapping[int, Callable[[bytes], None]] = {}
+        self._lay_routes()
         self._tasks = asyncio.TaskGroup()
-        self._lives: list[asyncio.Task[None]] = []
+        self._lives: dict[int, asyncio.Task[None]] = {}
+
+    def _supervisor(self, plan: NodePlan) -> NodeSupervisor:
+        # A network of its own: the transfers of one node can be ended for good while those of the others go on.
+        sdo = SdoPort(plan.node_id, SdoNetwork(self._bus), self._threads, self._timing)
+        return NodeSupervisor(plan, sdo, self._bus, listener=self._listener(plan), timing=self._timing)
+
+    def _listener(self, plan: NodePlan) -> NodeListener:
+        slot, node_id = plan.slot, plan.node_id
+
+        def on_report(report: NodeReport) -> None:
+            if slot is not None:
+                self._on_node(slot, report)
+            if self._on_sensor is not None:
+                self._on_sensor(node_id, report)
+
+        def on_value(slot: int, quantity: Quantity, value: int, stamp_ns: int) -> None:
+            if self._on_value is not None:
+                self._on_value(slot, quantity, value, stamp_ns)
+
+        def on_alive(stamp_ns: int) -> None:
+            if self._on_alive is not None:
+                self._on_alive(node_id, stamp_ns)
+
+        return NodeListener(
+            on_report=on_report,
+            accept=lambda settings: [] if slot is None else self._accept(slot, settings),
+            on_value=on_value,
+            on_alive=on_alive,
+        )
+
+    def _lay_routes(self) -> None:
+        self._routes = {
+            cob_id: handler for node in self._nodes.values() for cob_id, handler in node.routes().items()
+        }
+
+    def rearrange(self, *, leaving: Collection[int], coming: Sequence[NodePlan]) -> None:
+        """End the lives of the nodes that leave and begin those that come, between two frames; the others go on.
+
+        What a leaving node says is not heard any more when this returns, and nothing is reported of it.
+        """
+        for node_id in leaving:
+            self._nodes.pop(node_id).close()
+            self._lives.pop(node_id).cancel()
+        for plan in coming:
+            node = self._nodes[plan.node_id] = self._supervisor(plan)
+            up, reason = self._bus_up
+            if up:
+                node.on_bus_state(up, reason)
+            self._lives[plan.node_id] = self._tasks.create_task(node.live())
+        self._lay_routes()
 
     async def __aenter__(self) -> Self:
         await self._tasks.__aenter__()
-        self._lives = [self._tasks.create_task(node.live()) for node in self._nodes]
+        self._lives = {node_id: self._tasks.create_task(node.live()) for node_id, node in self._nodes.items()}
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._network.closed = True
-        for node, life in zip(self._nodes, self._lives, strict=True):
-            node.interrupt_sdo()
-            life.cancel()
+        for node_id, node in self._nodes.items():
+            node.close()
+            self._lives[node_id].cancel()
         try:
             # The group needs to see its own cancellation of the body; the body's errors stay the body's.
             if isinstance(error, asyncio.CancelledError):
@@ -112,17 +135,18 @@ class CanMaster:
 
     def on_bus_state(self, up: bool, reason: str) -> None:
         """The bus came up or went down: every node on it is lost with it."""
-        for node in self._nodes:
+        self._bus_up = (up, reason)
+        for node in self._nodes.values():
             node.on_bus_state(up, reason)
 
     def distrust(self, reason: str) -> None:
         """Frames of this bus were missed, perhaps a boot-up message: every node is identified again."""
-        for node in self._nodes:
+        for node in self._nodes.values():
             node.distrust(reason)
 
     def distrust_node(self, node_id: int, reason: str) -> None:
         """Frames of this node cast doubt on it: it is identified again."""
-        self._by_id[node_id].distrust(reason)
+        self._nodes[node_id].distrust(reason)
 
     @property
     def cob_ids(self) -> frozenset[int]:

@@ -98,9 +98,9 @@ class NodeSupervisor:
         self._retry_now.set()
         self._disturb(LinkError(reason))
 
-    def interrupt_sdo(self) -> None:
-        """End the transfer that a worker thread waits for."""
-        self._sdo.interrupt()
+    def close(self) -> None:
+        """End the transfer that a worker thread waits for, and begin no other."""
+        self._sdo.close()
 
     async def live(self) -> None:
         """Bring the node up, watch it, take it out, and begin again; until cancelled."""

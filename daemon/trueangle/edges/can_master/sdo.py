@@ -87,7 +87,7 @@ class SdoPort:
         self._network = network
         self._request_id = SDO_REQUEST_BASE + node_id
         client = SdoClient(SDO_REQUEST_BASE + node_id, SDO_REPLY_BASE + node_id, canopen.ObjectDictionary())
-        client.network = network
+        client.network = self._network = network
         client.RESPONSE_TIMEOUT = timing.sdo_timeout_s
         # canopen counts the first attempt as a retry
         client.MAX_RETRIES = timing.sdo_attempts  # pyright: ignore[reportAttributeAccessIssue]
@@ -127,6 +127,12 @@ class SdoPort:
     def interrupt(self) -> None:
         """Fail the transfer in progress; the client empties its queue before the next one."""
         self._answer(_INTERRUPTION)
+
+    def close(self) -> None:
+        """Fail the transfer in progress and all later ones."""
+        # In this order: a transfer that gets past the first finds the second when it waits.
+        self._network.closed = True
+        self.interrupt()
 
     def _answer(self, data: bytes) -> None:
         answers = cast("queue.Queue[bytes]", self._client.responses)  # pyright: ignore[reportUnknownMemberType]

@@ -1,0 +1,189 @@
+"""One configuration in force: its joints, their pipeline and registers, and what is known of their nodes.
+
+An arrangement is replaced as a whole between two cycles (`take_over`); a joint whose entry and model are what they
+were keeps its samples and its node.
+"""
+
+import logging
+import time
+from collections.abc import Callable, Collection, Iterable, Mapping
+
+from trueangle.config import DaemonConfig
+from trueangle.contract.encoder import EncoderSettings
+from trueangle.core.carry_over import CarriedOver, NodeKey, carried_over
+from trueangle.core.frames import NodePlan
+from trueangle.core.health import NodeCondition, StatusBit
+from trueangle.core.node_setup import NodeReport, NodeState
+from trueangle.core.outage import LogLine, OutageLog, reason_words
+from trueangle.core.pipeline import Frame, Pipeline
+from trueangle.core.registers import RegisterImage, RegisterMap
+from trueangle.process_data import node_plans
+from trueangle.service.joints import (
+    Loaded,
+    LoadedJoint,
+    encoder_differences,
+    joint_channel,
+    joint_identity,
+)
+
+SETTLE_S = 1.0
+"""A node in service for so long without a valid angle has had its chance: the service is ready without it."""
+
+_CONDITIONS = {
+    NodeState.RUNNING: NodeCondition.RUNNING,
+    NodeState.REFUSED: NodeCondition.DIFFERS,
+    NodeState.FAULT: NodeCondition.FAULT,
+    NodeState.CLASH: NodeCondition.ID_CLASH,
+}
+_DECIDED = (NodeState.RUNNING, NodeState.REFUSED, NodeState.FAULT, NodeState.CLASH, NodeState.LOST)
+
+_log = logging.getLogger(__name__)
+
+
+class Arrangement:
+    """The joints of one configuration; all methods on the loop's thread."""
+
+    def __init__(
+        self,
+        loaded: Loaded,
+        *,
+        publish: Callable[[RegisterImage], None],
+        on_clash: Callable[[str, int, str], None],
+    ) -> None:
+        """`on_clash(bus, node_id, reason)` asks for a node to be identified anew."""
+        self.config: DaemonConfig = loaded.config
+        self.joints: Mapping[int, LoadedJoint] = {joint.config.slot: joint for joint in loaded.joints}
+        self._plans = {bus.name: node_plans(self.config.joints, bus.name) for bus in self.config.buses}
+        self._on_clash: Callable[[str, int, str], None] = on_clash
+        self.pipeline = Pipeline(
+            [joint_channel(joint) for joint in loaded.joints],
+            RegisterMap([joint_identity(joint) for joint in loaded.joints]),
+            publish=publish,
+            on_status=self._on_status,
+            sensors=[(bus, plan) for bus, plans in self._plans.items() for plan in plans],
+            on_clash=self._clash,
+        )
+        now_ns = time.monotonic_ns()
+        self.outages = {slot: OutageLog(slot, joint.config.name, now_ns) for slot, joint in self.joints.items()}
+        self._process_data = {bus.name: self.pipeline.process_data(bus.name) for bus in loaded.config.buses}
+        self.node_state = dict.fromkeys(self.joints, NodeState.UNKNOWN)
+        self.node_since_ns = dict.fromkeys(self.joints, now_ns)
+        """Since when each node is in its state, monotonic."""
+        self.buses_down: dict[str, str] = {}
+
+    def take_over(self, previous: "Arrangement", buses: Mapping[str, bool]) -> CarriedOver:
+        """Go on where `previous` ends; gives what goes on as if nothing had happened.
+
+        `buses`: those that stay open, each up or not. `previous` must not be used again.
+        """
+        unchanged = {
+            slot
+            for slot, joint in self.joints.items()
+            if joint.config.bus in buses
+            and slot in previous.joints
+            and joint.config == previous.joints[slot].config
+            and joint.model.sha256 == previous.joints[slot].model.sha256
+        }
+        kept = carried_over(unchanged, previous.node_plans(buses), self.node_plans(buses))
+        state = previous.pipeline.hand_on()
+        self.pipeline.take_over(state, buses=buses, slots=kept.slots, nodes=kept.nodes)
+        for slot in kept.slots:
+            self.node_state[slot] = previous.node_state[slot]
+            self.node_since_ns[slot] = previous.node_since_ns[slot]
+        for slot, outage in previous.outages.items():
+            if slot in self.joints and self.joints[slot].config.name == previous.joints[slot].config.name:
+                self.outages[slot] = outage
+                if slot not in kept.slots:
+                    outage.restart(time.monotonic_ns())
+        self.buses_down = {name: text for name, text in previous.buses_down.items() if name in buses}
+        return kept
+
+    def node_plans(self, buses: Collection[str]) -> dict[NodeKey, NodePlan]:
+        """What the nodes of these buses are to send."""
+        return {(bus, plan.node_id): plan for bus in self._plans.keys() & buses for plan in self._plans[bus]}
+
+    def plans(self, bus: str) -> list[NodePlan]:
+        """What the nodes of this bus are to send."""
+        return self._plans[bus]
+
+    def process_data(self, bus: str) -> frozenset[int]:
+        """The COB-IDs on this bus that are the pipeline's."""
+        return self._process_data[bus]
+
+    def on_frames(self, bus: str, frames: Iterable[Frame]) -> None:
+        """A batch of frames; the master has seen those that are its own."""
+        self.pipeline.on_frames(bus, frames, time.monotonic_ns())
+
+    def on_sync(self, bus: str, stamp_ns: int) -> None:
+        """A SYNC is about to leave."""
+        self.pipeline.on_sync(bus, stamp_ns)
+
+    def on_bus_state(self, bus: str, *, up: bool, reason: str) -> None:
+        """The bus was opened or lost."""
+        if up:
+            self.buses_down.pop(bus, None)
+        else:
+            self.buses_down[bus] = reason
+        self.pipeline.on_bus(bus, up=up, now_ns=time.monotonic_ns())
+
+    def on_node(self, slot: int, report: NodeReport) -> None:
+        """A node's life cycle moved on."""
+        now_ns = time.monotonic_ns()
+        self.node_state[slot] = report.state
+        self.node_since_ns[slot] = now_ns
+        self.pipeline.on_node(slot, _CONDITIONS.get(report.state, NodeCondition.NOT_READY), now_ns)
+
+    def on_sensor(self, bus: str, node_id: int, report: NodeReport) -> None:
+        """The life cycle of any node moved on; those without an encoder are told so alone."""
+        condition = _CONDITIONS.get(report.state, NodeCondition.NOT_READY)
+        self.pipeline.on_sensor(bus, node_id, condition, time.monotonic_ns())
+
+    def _clash(self, slot: int, reason: str) -> None:
+        joint = self.joints[slot].config
+        self._on_clash(joint.bus, joint.node_id, reason)
+
+    def accept(self, slot: int, settings: EncoderSettings) -> list[str]:
+        """Why this encoder must not be corrected with the joint's model; empty where it may."""
+        return encoder_differences(self.joints[slot], settings)
+
+    def _on_status(self, slot: int, before: StatusBit, after: StatusBit) -> None:
+        del before  # the outage log keeps its own account
+        _say(self.outages[slot].change(after, time.monotonic_ns()))
+
+    def tick(self, now_ns: int) -> None:
+        """What is due in the log although nothing changed."""
+        for outage in self.outages.values():
+            _say(outage.tick(now_ns))
+
+    def decided(self, now_ns: int) -> bool:
+        """Whether each joint is served, or its trouble has been reported."""
+        return all(self._decided(slot, now_ns) for slot in self.joints)
+
+    def _decided(self, slot: int, now_ns: int) -> bool:
+        if StatusBit.VALID in self.pipeline.statuses[slot] or self.joints[slot].config.bus in self.buses_down:
+            return True
+        state = self.node_state[slot]
+        settled = now_ns - self.node_since_ns[slot] > SETTLE_S * 1e9
+        return state in _DECIDED and (state is not NodeState.RUNNING or settled)
+
+    def status_text(self) -> str:
+        """One line: how many joints are valid, and what the others suffer from."""
+        statuses = self.pipeline.statuses
+        valid = sum(StatusBit.VALID in status for status in statuses.values())
+        troubles = [
+            f"{self.joints[slot].config.name}: {reasons(status)}"
+            for slot, status in statuses.items()
+            if StatusBit.VALID not in status
+        ]
+        text = f"{valid} of {len(statuses)} joints valid"
+        return f"{text}; {'; '.join(troubles)}" if troubles else text
+
+
+def reasons(status: StatusBit) -> str:
+    """The bits that speak against a joint, as words."""
+    return ",".join(reason_words(status)) or "none"
+
+
+def _say(lines: list[LogLine]) -> None:
+    for line in lines:
+        _log.log(logging.WARNING if line.warning else logging.INFO, "%s", line.text)

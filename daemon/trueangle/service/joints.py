@@ -1,0 +1,167 @@
+"""What the composition root makes of each joint: its checked model, what the master and the pipeline need of it.
+
+Nothing here is kept: configuration and model files in, frozen values out. All of it may run in a worker thread
+while the service goes on.
+"""
+
+import datetime
+from dataclasses import dataclass
+from pathlib import Path
+
+from trueangle.config import DaemonConfig, JointConfig, load_config
+from trueangle.contract.encoder import EncoderSettings
+from trueangle.contract.errors import ContractError, Fault
+from trueangle.contract.metadata import Interval
+from trueangle.core.frames import Trigger
+from trueangle.core.health import Limits
+from trueangle.core.pipeline import JointChannel
+from trueangle.core.registers import JointIdentity
+from trueangle.core.sample import SampleScale
+from trueangle.edges.can_bus import bus_faults
+from trueangle.edges.onnx_model import OnnxModel, load_model
+from trueangle.process_data import node_plan, plan_faults
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoadedJoint:
+    """One joint of the configuration with its checked model."""
+
+    config: JointConfig
+    model: OnnxModel
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Loaded:
+    """A configuration that may be served: the file was legal, every model was replayed."""
+
+    config: DaemonConfig
+    joints: tuple[LoadedJoint, ...]
+
+
+def load(path: Path) -> Loaded:
+    """The configuration file with all its models; ContractError with the faults of the first step that has any."""
+    config = load_config(path)
+    check_buses(config, source=str(path))
+    return Loaded(config=config, joints=load_joints(config, base=path.parent, source=str(path)))
+
+
+def check_buses(config: DaemonConfig, *, source: str) -> None:
+    """ContractError where a bus can never be opened as it is configured; a bus that is only absent is no fault."""
+    faults: list[Fault] = []
+    for i, bus in enumerate(config.buses):
+        faults += bus_faults(bus, where=f"{source}, buses[{i}]")
+    faults += plan_faults(config, source=source)
+    if faults:
+        raise ContractError(faults)
+
+
+def load_joints(config: DaemonConfig, *, base: Path, source: str) -> tuple[LoadedJoint, ...]:
+    """Load and check every model file of the configuration; ContractError with the faults of all of them.
+
+    Model paths are relative to `base`, the configuration file's directory.
+    """
+    faults: list[Fault] = []
+    loaded: list[LoadedJoint] = []
+    for i, joint in enumerate(config.joints):
+        try:
+            model = load_model(base / joint.model, pinned_sha256=joint.model_sha256)
+        except ContractError as error:
+            faults += error.faults
+            continue
+        faults += _model_against_config(model, joint, f"{source}, joints[{i}]")
+        loaded.append(LoadedJoint(config=joint, model=model))
+    faults += _models_used_twice(loaded, source)
+    if faults:
+        raise ContractError(faults)
+    return tuple(loaded)
+
+
+def _models_used_twice(loaded: list[LoadedJoint], source: str) -> list[Fault]:
+    """A model belongs to one encoder on one shaft: on a second joint it is the wrong one."""
+    faults: list[Fault] = []
+    first: dict[str, str] = {}
+    for joint in loaded:
+        name = joint.config.name
+        if joint.model.sha256 in first:
+            found = f"{joint.config.model} is also that of {first[joint.model.sha256]}"
+            faults.append(Fault(where=f"{source}, joint {name}", expected="a model of its own", found=found))
+        first.setdefault(joint.model.sha256, name)
+    return faults
+
+
+def _model_against_config(model: OnnxModel, joint: JointConfig, where: str) -> list[Fault]:
+    """Model and configuration must mean the same encoder."""
+    encoder = model.metadata.encoder
+    faults: list[Fault] = []
+    if encoder is not None and encoder.counts_per_rev != joint.encoder.counts_per_rev:
+        expected = f"counts_per_rev {encoder.counts_per_rev} as at the calibration of {joint.model}"
+        faults.append(Fault(where=where, expected=expected, found=str(joint.encoder.counts_per_rev)))
+    configured = joint.encoder.settings.known()
+    for name, value in model.metadata.encoder_settings.known().items():
+        if name in configured and configured[name] != value:
+            expected = f"{name} {value} as at the calibration of {joint.model}"
+            faults.append(Fault(where=where, expected=expected, found=str(configured[name])))
+    return faults
+
+
+def encoder_differences(joint: LoadedJoint, found: EncoderSettings) -> list[str]:
+    """Why this encoder must not be corrected with this model; empty where it may."""
+    differences: list[str] = []
+    counts_per_rev = found.counts_per_rev
+    if counts_per_rev != joint.config.encoder.counts_per_rev:
+        expected = joint.config.encoder.counts_per_rev
+        shown = "not readable" if counts_per_rev is None else str(counts_per_rev)
+        differences.append(f"counts per revolution expected {expected} found {shown}")
+    range_units = found.total_range_units
+    if range_units is not None and (range_units or 2**32) % joint.config.encoder.counts_per_rev:
+        # The position would wrap in the middle of a turn and show another angle from then on.
+        differences.append(f"total_range_units {range_units} is no whole number of turns")
+    for expected in (joint.config.encoder.settings, joint.model.metadata.encoder_settings):
+        differences += [text for text in found.differences_from(expected) if text not in differences]
+    return differences
+
+
+def joint_channel(joint: LoadedJoint) -> JointChannel:
+    """What the pipeline needs of a joint."""
+    config, metadata = joint.config, joint.model.metadata
+    return JointChannel(
+        slot=config.slot,
+        bus=config.bus,
+        plan=node_plan(config),
+        scale=SampleScale(
+            counts_per_rev=config.encoder.counts_per_rev,
+            degc_per_unit=config.temperature.degc_per_unit,
+            offset_c=config.temperature.offset_c,
+            sequence_modulus=None if config.sequence is None else 1 << config.sequence.bits,
+            temperature_by_change=config.temperature.tpdo.trigger is Trigger.EVENT,
+            synchronous=config.tpdo.trigger is Trigger.SYNC,
+            position_period_ms=config.tpdo.period_ms if config.tpdo.trigger is Trigger.TIMER else None,
+        ),
+        limits=Limits(
+            stale_ms=config.stale_ms,
+            temperature_stale_s=config.temperature.stale_s,
+            sensor_range_c=Interval(minimum=config.temperature.minimum_c, maximum=config.temperature.maximum_c),
+            model_angle_deg=metadata.valid_angle_deg,
+            model_temperature_c=metadata.valid_temperature_c,
+        ),
+        model=joint.model,
+        temperature_node=config.temperature.node_id,
+        temperature_has_status=config.temperature.status is not None,
+    )
+
+
+def joint_identity(joint: LoadedJoint) -> JointIdentity:
+    """What the registers say of joint, model and encoder."""
+    calibration = joint.model.metadata.calibration
+    settings = joint.model.metadata.encoder_settings
+    return JointIdentity(
+        slot=joint.config.slot,
+        node_id=joint.config.node_id,
+        model_id=bytes.fromhex(joint.model.sha256)[:8],
+        calibration_date=datetime.date.fromisoformat(calibration.date),
+        calibration_due=None if calibration.due is None else datetime.date.fromisoformat(calibration.due),
+        vendor_id=settings.vendor_id,
+        product_code=settings.product_code,
+        revision_number=settings.revision_number,
+        serial_number=settings.serial_number,
+    )
