@@ -12,7 +12,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from trueangle.commands import monitor, record, scan
+from trueangle.commands import commission, monitor, record, scan, verify
 from trueangle.config import load_config
 from trueangle.contract.errors import ContractError, TrueangleError
 from trueangle.contract.metadata import ModelMetadata
@@ -66,7 +66,7 @@ def _parser() -> argparse.ArgumentParser:
     registers.add_argument("--format", choices=list(_RENDERERS), default="text")
     registers.set_defaults(command=_registers)
 
-    for module in (scan, monitor, record):
+    for module in (scan, commission, verify, monitor, record):
         module.add_parser(commands)
     return parser
 
