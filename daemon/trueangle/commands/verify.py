@@ -5,7 +5,7 @@ import asyncio
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from trueangle.commands import Commands
@@ -83,6 +83,9 @@ def _verify(options: argparse.Namespace) -> int:
         expected = f"at least {fewest} reference angles"
         raise ContractError([Fault(where="--reference", expected=expected, found=str(len(points)))])
     result = verify(points, free_zero=options.free_zero)
+    if others and result.verdict is not Verdict.GOOD:
+        # Two eccentricities differ by a first harmonic, as a new mounting does: only the other model tells.
+        result = replace(result, verdict=Verdict.WRONG_JOINT)
     if options.json:
         print(json.dumps({**asdict(result), "verdict": result.verdict.name.lower(), "fitting_models": others}))
     else:

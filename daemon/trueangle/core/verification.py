@@ -139,7 +139,8 @@ def _design(reference_deg: Floats, *, harmonic: bool) -> Floats:
 
 def _fit(values: Floats, sigma: Floats, design: Floats) -> Floats:
     """Weighted least squares."""
-    return np.linalg.lstsq(design / sigma[:, None], values / sigma, rcond=None)[0]
+    solved = np.linalg.lstsq(design / sigma[:, None], values / sigma, rcond=None)[0]
+    return np.asarray(solved, dtype=np.float64)
 
 
 def _good(values: Floats, sigma: Floats, spent: int) -> bool:
