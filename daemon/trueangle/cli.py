@@ -13,15 +13,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from trueangle.commands import commission, monitor, record, scan, verify
-from trueangle.config import load_config
+from trueangle.config import DaemonConfig, load_config
 from trueangle.contract.errors import ContractError, TrueangleError
 from trueangle.contract.metadata import ModelMetadata
 from trueangle.core.register_table import render_csv, render_markdown, render_text
+from trueangle.edges.journal import LogFormatter
 from trueangle.edges.onnx_model import load_model
-from trueangle.edges.systemd import ServiceNotifier
-from trueangle.service import Loaded, Service, load
+from trueangle.edges.systemd import ServiceNotifier, handed_over_sockets, is_journal
+from trueangle.service import Loaded, Service, load, state_directory
+from trueangle.service.modbus_side import TlsSettings, tls_settings, uses_credentials
 
-LOG_FORMAT = "%(levelname)s %(message)s"
 _RENDERERS = {"text": render_text, "markdown": render_markdown, "csv": render_csv}
 
 
@@ -74,7 +75,9 @@ def _parser() -> argparse.ArgumentParser:
 def _run(options: argparse.Namespace) -> int:
     # A reload that is asked for before the service can hear it is one that finds the files as they are read now.
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    logging.basicConfig(level=logging.INFO, format=LOG_FORMAT, stream=sys.stderr)
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(LogFormatter(journal=is_journal(os.environ, sys.stderr.fileno())))
+    logging.basicConfig(level=logging.INFO, handlers=[handler])
     loaded = load(options.config)
     notifier = ServiceNotifier(os.environ)
     try:
@@ -85,12 +88,32 @@ def _run(options: argparse.Namespace) -> int:
 
 
 async def _serve(path: Path, loaded: Loaded, notifier: ServiceNotifier) -> None:
-    await Service(loaded.config, loaded.joints, notifier, load_again=lambda: load(path)).run()
+    sockets = handed_over_sockets(os.environ)
+    await Service(
+        loaded.config,
+        loaded.joints,
+        notifier,
+        load_again=lambda: load(path),
+        sockets=sockets,
+        state_directory=state_directory(loaded.config, os.environ),
+        load_tls=lambda: _tls(loaded.config, path),
+    ).run()
+
+
+def _tls(config: DaemonConfig, path: Path) -> TlsSettings | None:
+    credentials = os.environ.get("CREDENTIALS_DIRECTORY")
+    return tls_settings(
+        config.modbus, base=path.parent, credentials=Path(credentials) if credentials else None, source=str(path)
+    )
 
 
 def _check_config(options: argparse.Namespace) -> int:
     loaded = load(options.config)
     config, joints = loaded.config, loaded.joints
+    if uses_credentials(config.modbus) and "CREDENTIALS_DIRECTORY" not in os.environ:
+        _say(f"{options.config}: TLS keys come from systemd's credentials and are not checked here")
+    else:
+        _tls(config, options.config)
     _say(f"{options.config}: good; {len(config.buses)} bus(es), {len(joints)} joint(s)")
     for joint in joints:
         entry = joint.config

@@ -104,3 +104,42 @@ def test_a_file_that_cannot_be_read_is_a_fault(tmp_path: Path) -> None:
     (tmp_path / "big.yaml").write_bytes(b"#" * 200_001)
     with pytest.raises(ContractError, match="expected at most 200000 bytes"):
         load_config(tmp_path / "big.yaml")
+
+
+SECURE = "tls: {certificate: a, private_key: b, client_ca: c, roles: {setter: command, viewer: read}}"
+
+
+def test_modbus_with_everything_is_good() -> None:
+    modbus = (
+        f"modbus: {{allow: [192.0.2.0/24, 2001:db8::1], {SECURE}, commands: true, plain_tcp: false, "
+        "rtu: {device: /dev/ttyS0, baudrate: 115200, parity: none, stop_bits: 2, unit_id: 9}}\n"
+    )
+    config = parse_config(modbus + GOOD, source="t.yaml").modbus
+    assert config.tls is not None
+    assert config.tls.port == 802
+    assert config.tls.roles["setter"].value == "command"
+    assert config.rtu is not None
+    assert (config.rtu.parity.value, config.rtu.unit_id) == ("none", 9)
+    assert [str(network) for network in config.networks] == ["192.0.2.0/24", "2001:db8::1/128"]
+
+
+@pytest.mark.parametrize(
+    ("modbus", "found"),
+    [
+        ("allow: [192.0.2.1/24]", "modbus.allow[0]: expected an address or a network such as 192.0.2.0/24"),
+        ("allow: [plc]", "modbus.allow[0]"),
+        ("plain_tcp: false", "modbus.plain_tcp: expected tls or rtu where it is false, found no server"),
+        ("insecure_commands: true", "modbus.insecure_commands: expected commands: true with it"),
+        (
+            "commands: true",
+            "modbus.commands: expected a role of tls.roles mapped to command, or insecure_commands",
+        ),
+        (f"{SECURE.replace('command', 'read')}, commands: true", "modbus.commands: expected a role"),
+        (SECURE.replace("command", "write"), "modbus.tls.roles.setter: expected one of read, command"),
+        ("tls: {certificate: a, private_key: b}", "modbus.tls: expected the key client_ca"),
+        ("rtu: {device: x, baudrate: 12345}", "modbus.rtu.baudrate: expected one of 1200"),
+        ("rtu: {device: x, unit_id: 0}", "modbus.rtu.unit_id: expected a whole number, 1 to 247"),
+    ],
+)
+def test_modbus_that_contradicts_itself_is_refused(modbus: str, found: str) -> None:
+    assert any(found in fault for fault in faults_of(f"modbus: {{{modbus}}}\n" + GOOD))

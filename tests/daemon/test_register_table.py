@@ -3,6 +3,7 @@
 import csv
 import io
 import struct
+from pathlib import Path
 
 import pytest
 from tests.fakes.register_values import joint_identity, joint_state
@@ -11,6 +12,9 @@ from trueangle.core.health import ServiceBit, StatusBit
 from trueangle.core.register_table import (
     RegisterRow,
     bit_rows,
+    command_rows,
+    input_rows,
+    number_rows,
     register_rows,
     render_csv,
     render_markdown,
@@ -96,6 +100,78 @@ def test_the_detail_block_leaves_no_register_undocumented() -> None:
     assert (rows[0].address_0based, ends[-1]) == (1400, 1470)
 
 
+GOLDEN = Path(__file__).parents[1] / "data" / "register_map_1.csv"
+"""What PLC programs for version 1 rely on, of slots at the edges of groups and of the map. Rows are only added."""
+
+
+def test_no_address_of_version_1_has_moved_or_changed_its_type() -> None:
+    slots = (1, 6, 7, 32)
+    now = {
+        (row.type == "BIT", row.address_0based): (
+            row.name,
+            row.type,
+            str(row.registers),
+            row.scale,
+            row.unit,
+            row.marker,
+        )
+        for row in register_rows(slots) + command_rows() + input_rows(slots)
+    }
+    with GOLDEN.open(encoding="ascii", newline="") as file:
+        golden = list(csv.DictReader(file))
+    assert len(golden) > 250
+    moved = [
+        line
+        for line in golden
+        if not line["name"].endswith(".reserved")
+        and now.get((line["type"] == "BIT", int(line["address_0based"])))
+        != tuple(line[key] for key in ("name", "type", "registers", "scale", "unit", "marker"))
+    ]
+    assert moved == []
+
+
+def test_what_version_1_gains_lies_where_nothing_was() -> None:
+    """A new value on an old one would be read as the old one by a program that knows only that."""
+    slots = (1, 6, 7, 32)
+    with GOLDEN.open(encoding="ascii", newline="") as file:
+        golden = list(csv.DictReader(file))
+    names = {line["name"] for line in golden}
+    taken = {
+        int(line["address_0based"]) + offset
+        for line in golden
+        if line["type"] not in ("BIT", "reserved")
+        for offset in range(int(line["registers"]))
+    }
+    added = [row for row in register_rows(slots) + command_rows() if row.name not in names]
+    assert [
+        row.name for row in added if taken & set(range(row.address_0based, row.address_0based + row.registers))
+    ] == []
+
+
+def test_the_command_block_lies_behind_every_joint() -> None:
+    rows = command_rows()
+    assert [(row.address_0based, row.name, row.type) for row in rows] == [
+        (5000, "command.slot", "UINT16"),
+        (5001, "command.angle", "INT32"),
+        (5003, "command.command", "UINT16"),
+        (5004, "command.result", "UINT16"),
+        (5005, "command.armed_slot", "UINT16"),
+        (5006, "command.armed_left", "UINT16"),
+        (5007, "command.commands", "UINT16"),
+    ]
+    assert max(row.address_0based for row in register_rows([32])) < 5000
+
+
+def test_bits_have_the_forms_that_plc_programs_write() -> None:
+    rows = {row.name: row for row in input_rows([1, 32])}
+    assert (rows["slot32.valid"].address_0based, rows["slot32.valid"].input_reference) == (31, "100032")
+    assert rows["slot32.configured"].address_0based == 63
+    assert rows["service.all_valid"].address_0based == 64
+    assert rows["slot32.status.stale"].address_0based == 100 + 31 * 32 + 2
+    coil = rows["slot1.clear_fault"]
+    assert (coil.address_0based, coil.input_reference, coil.holding_reference) == (2000, "", "002001")
+
+
 CODES = {"UINT16": "H", "INT16": "h", "UINT32": "I", "INT32": "i", "FLOAT32": "f", "FLOAT64": "d"}
 
 
@@ -152,7 +228,7 @@ def test_every_status_bit_is_documented_once_under_its_number() -> None:
 
 def test_csv_holds_every_row_under_the_column_names() -> None:
     read = list(csv.DictReader(io.StringIO(render_csv([1, 8]))))
-    rows = register_rows([1, 8])
+    rows = register_rows([1, 8]) + command_rows() + input_rows([1, 8])
     assert [line["name"] for line in read] == [row.name for row in rows]
     assert [int(line["address_0based"]) for line in read] == [row.address_0based for row in rows]
     assert [line["meaning"] for line in read] == [row.meaning for row in rows]
@@ -160,14 +236,20 @@ def test_csv_holds_every_row_under_the_column_names() -> None:
 
 def test_markdown_has_as_many_columns_in_every_line_of_a_table() -> None:
     lines = [line for line in render_markdown([1]).splitlines() if line.startswith("|")]
-    registers, bits = len(register_rows([1])), len(bit_rows())
-    assert [line.count("|") for line in lines] == [12] * (registers + 2) + [6] * (bits + 2)
+    tables = (
+        (register_rows([1]), 12),
+        (bit_rows(), 6),
+        (command_rows(), 12),
+        (number_rows(), 5),
+        (input_rows([1]), 12),
+    )
+    assert [line.count("|") for line in lines] == [bars for rows, bars in tables for _ in range(len(rows) + 2)]
 
 
 def test_plain_text_names_every_register_and_bit() -> None:
     text = render_text([3])
     assert all(f"  {row.name} " in text for row in register_rows([3]))
-    assert all(f"  {row.name} " in text for row in bit_rows())
+    assert all(f"  {row.name} " in text for row in bit_rows() + command_rows() + number_rows() + input_rows([3]))
     assert not any(line.endswith(" ") for line in text.splitlines())
 
 

@@ -6,9 +6,20 @@ import io
 from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, fields
 
-from trueangle.core.health import SERVICE_MEANING, STATUS_MEANING
+from trueangle.core.bit_fields import (
+    CLEAR_FAULT_COILS_ADDRESS,
+    CONFIGURED_BITS_ADDRESS,
+    SERVICE_BITS_ADDRESS,
+    VALID_BITS_ADDRESS,
+    status_bits_address,
+)
+from trueangle.core.commands import COMMAND_MEANING, RESULT_MEANING
+from trueangle.core.health import SERVICE_MEANING, STATUS_MEANING, StatusBit
 from trueangle.core.register_fields import (
     BLOCK_STRIDE,
+    COMMAND_ANSWER,
+    COMMAND_BLOCK_ADDRESS,
+    COMMAND_WRITABLE,
     DETAIL,
     FAST_HEADER,
     FAST_REGISTERS,
@@ -32,6 +43,8 @@ MAP_NOTES = (
     "Empty slots of a group with a configured joint hold status 0 and the markers.",
     "A value that is not known holds the marker of its type. Use a corrected angle only while VALID is set.",
     "HELD or RAW_SERVED without VALID: corrected holds what the configuration asked for in place of the marker.",
+    "Discrete inputs (FC 02) and coils (FC 01) hold the same bits; a bit of a slot without a joint is 0.",
+    "The command block and the clear_fault coils are there only where the configuration enables commands.",
     "Compare cycle_counter with cycle_counter_tail: unequal, if the block was read in pieces of different cycles.",
 )
 
@@ -44,16 +57,27 @@ class RegisterRow:
     """As on the wire."""
     address_1based: int
     input_reference: str
-    """Six-digit 3xxxxx form."""
+    """Six-digit 3xxxxx form; of a bit 1xxxxx, empty for what is only a coil."""
     holding_reference: str
-    """Six-digit 4xxxxx form."""
+    """Six-digit 4xxxxx form; of a bit 0xxxxx."""
     name: str
     type: str
     registers: int
+    """0 for a bit."""
     scale: str
     unit: str
     marker: str
     """Value that means missing; empty: never missing."""
+    meaning: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NumberRow:
+    """One documented number of a register that holds a choice."""
+
+    register: str
+    number: int
+    name: str
     meaning: str
 
 
@@ -67,6 +91,49 @@ class BitRow:
     mask: str
     name: str
     meaning: str
+
+
+_Row = RegisterRow | BitRow | NumberRow
+
+
+def command_rows() -> tuple[RegisterRow, ...]:
+    """The command block; its first four registers can be written (FC 06, 16, 22, 23)."""
+    return tuple(_rows("command", COMMAND_BLOCK_ADDRESS, COMMAND_WRITABLE + COMMAND_ANSWER))
+
+
+def input_rows(slots: Iterable[int]) -> tuple[RegisterRow, ...]:
+    """The discrete inputs that mean something for joints in these slots, and the coils that can be written."""
+    chosen = sorted(set(slots))
+    rows = [
+        _bit(VALID_BITS_ADDRESS + slot - 1, f"slot{slot}.valid", STATUS_MEANING[StatusBit.VALID])
+        for slot in chosen
+    ]
+    for slot in chosen:
+        address = CONFIGURED_BITS_ADDRESS + slot - 1
+        rows.append(_bit(address, f"slot{slot}.configured", STATUS_MEANING[StatusBit.CONFIGURED]))
+    for flag, meaning in SERVICE_MEANING.items():
+        address = SERVICE_BITS_ADDRESS + flag.bit_length() - 1
+        rows.append(_bit(address, f"service.{str(flag.name).lower()}", meaning))
+    for slot in chosen:
+        for flag, meaning in STATUS_MEANING.items():
+            address = status_bits_address(slot) + flag.bit_length() - 1
+            rows.append(_bit(address, f"slot{slot}.status.{str(flag.name).lower()}", meaning))
+    meaning = "coil, can be written: on clears latched faults of the joint; reads 0"
+    rows += [
+        _bit(CLEAR_FAULT_COILS_ADDRESS + slot - 1, f"slot{slot}.clear_fault", meaning, coil_only=True)
+        for slot in chosen
+    ]
+    return tuple(rows)
+
+
+def number_rows() -> tuple[NumberRow, ...]:
+    """What the numbers of the command and of the result register mean."""
+    tables = (("command", COMMAND_MEANING), ("result", RESULT_MEANING))
+    return tuple(
+        NumberRow(register=f"command.{word}", number=int(number), name=number.name, meaning=meaning)
+        for word, meanings in tables
+        for number, meaning in meanings.items()
+    )
 
 
 def register_rows(slots: Iterable[int]) -> tuple[RegisterRow, ...]:
@@ -98,13 +165,18 @@ def bit_rows() -> tuple[BitRow, ...]:
 def render_markdown(slots: Iterable[int]) -> str:
     """Notes, register table and bit table as Markdown."""
     notes = "".join(f"- {note}\n" for note in MAP_NOTES)
-    registers = _markdown_table(register_rows(slots))
-    return f"{notes}\n{registers}\n{_markdown_table(bit_rows())}"
+    slots = tuple(slots)
+    tables = (register_rows(slots), bit_rows(), command_rows(), number_rows(), input_rows(slots))
+    return f"{notes}\n" + "\n".join(_markdown_table(rows) for rows in tables)
 
 
 def render_csv(slots: Iterable[int]) -> str:
-    """The register table as comma-separated values with one header line; bits are in the other renderings."""
-    rows = register_rows(slots)
+    """Registers, command block, discrete inputs and coils as comma-separated values with one header line.
+
+    What the bits of a word and the numbers of a command mean is in the other renderings.
+    """
+    slots = tuple(slots)
+    rows = (*register_rows(slots), *command_rows(), *input_rows(slots))
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_column_names(RegisterRow))
@@ -115,7 +187,9 @@ def render_csv(slots: Iterable[int]) -> str:
 def render_text(slots: Iterable[int]) -> str:
     """Notes, register table and bit table in aligned columns."""
     notes = "".join(f"{note}\n" for note in MAP_NOTES)
-    return f"{notes}\n{_text_table(register_rows(slots))}\n{_text_table(bit_rows())}"
+    slots = tuple(slots)
+    tables = (register_rows(slots), bit_rows(), command_rows(), number_rows(), input_rows(slots))
+    return f"{notes}\n" + "\n".join(_text_table(rows) for rows in tables if rows)
 
 
 def _rows(prefix: str, start: int, block: tuple[RegisterField, ...]) -> list[RegisterRow]:
@@ -139,6 +213,22 @@ def _rows(prefix: str, start: int, block: tuple[RegisterField, ...]) -> list[Reg
         )
         address += field.type.registers
     return rows
+
+
+def _bit(address: int, name: str, meaning: str, *, coil_only: bool = False) -> RegisterRow:
+    return RegisterRow(
+        address_0based=address,
+        address_1based=address + 1,
+        input_reference="" if coil_only else f"1{address + 1:05d}",
+        holding_reference=f"0{address + 1:05d}",
+        name=name,
+        type="BIT",
+        registers=0,
+        scale="1",
+        unit="",
+        marker="",
+        meaning=meaning,
+    )
 
 
 _TYPE_NAMES = {
@@ -168,22 +258,22 @@ def _bits(word: str, meanings: Iterable[tuple[enum.IntFlag, str]]) -> tuple[BitR
     )
 
 
-def _column_names(row: type[RegisterRow | BitRow]) -> list[str]:
+def _column_names(row: type[_Row]) -> list[str]:
     return [field.name for field in fields(row)]
 
 
-def _cells(rows: Sequence[RegisterRow] | Sequence[BitRow]) -> list[list[str]]:
+def _cells(rows: Sequence[_Row]) -> list[list[str]]:
     return [_column_names(type(rows[0])), *([str(cell) for cell in astuple(row)] for row in rows)] if rows else []
 
 
-def _markdown_table(rows: Sequence[RegisterRow] | Sequence[BitRow]) -> str:
+def _markdown_table(rows: Sequence[_Row]) -> str:
     lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in _cells(rows)]
     if lines:
         lines.insert(1, "|" + " --- |" * (lines[0].count("|") - 1))
     return "".join(f"{line}\n" for line in lines)
 
 
-def _text_table(rows: Sequence[RegisterRow] | Sequence[BitRow]) -> str:
+def _text_table(rows: Sequence[_Row]) -> str:
     cells = _cells(rows)
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     return "".join(
