@@ -42,6 +42,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except TrueangleError as error:
         print(f"trueangled: {error}", file=sys.stderr)
         return 1
+    except KeyboardInterrupt:
+        # What a shell makes of SIGINT, without a traceback.
+        return 130
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -27,8 +27,8 @@ from trueangle.service.arrangement import Arrangement
 from trueangle.service.bus_line import BusLine
 from trueangle.service.commanding import Commanding
 from trueangle.service.joints import Loaded, LoadedJoint
-from trueangle.service.recording import recorded_joints, recorder_of
 from trueangle.service.modbus_side import ModbusSide
+from trueangle.service.recording import recorded_joints, recorder_of
 from trueangle.service.reloading import ReloadRecord, restart_faults
 
 TICK_S = 0.01
@@ -93,12 +93,19 @@ class Service:
         """A stop or a reload was asked for, or the loading has ended."""
         if state_directory is not None:
             self._commanding = Commanding(
-                state_directory, arrangement=lambda: self._arrangement, ask_again=self._on_clash
+                state_directory,
+                arrangement=lambda: self._arrangement,
+                ask_again=self._on_clash,
+                note_reference=self._note_reference,
             )
             self._server.take_commands(self._commanding.desk)
         elif config.modbus.commands:
             expected = "a state_directory, where presets are kept"
             raise ContractError([Fault(where="modbus.commands", expected=expected, found="none")])
+
+    def _note_reference(self, slot: int, reference_deg: float) -> None:
+        if self.recorder is not None:
+            self.recorder.note_reference(slot, reference_deg)
 
     def stop(self) -> None:
         """Ask for an orderly stop."""
