@@ -166,11 +166,14 @@ def test_bad_input_is_exit_2_and_one_line(site: Path) -> None:
 def test_interactively_the_served_registers_are_read_and_a_moving_joint_is_not_taken(site: Path) -> None:
     async def scenario() -> None:
         still = joint_state(velocity_deg_s=0.0, corrected_deg=123.4567891 - 10)  # a user's zero of 10 deg
-        async with RegisterServer(image_of({1: joint_state()})) as server, PseudoTerminal(
-            *("verify", "--config", str(site / "c.yaml"), "--joint", "base", "--reference", "interactive"),
-            *("--port", str(server.port), "--free-zero"),
-            columns=120,
-        ) as terminal:
+        async with (
+            RegisterServer(image_of({1: joint_state()})) as server,
+            PseudoTerminal(
+                *("verify", "--config", str(site / "c.yaml"), "--joint", "base", "--reference", "interactive"),
+                *("--port", str(server.port), "--free-zero"),
+                columns=120,
+            ) as terminal,
+        ):
             await terminal.until("reference angle 1:")
             terminal.keys("123.4567891\n")
             await terminal.until("not taken: the joint moves (-45.500 deg/s)")

@@ -25,7 +25,7 @@ _INFORMATION = (
     | StatusBit.USER_PRESET
     | StatusBit.HEAD_LOST
 )
-_HEADER = 'slot joint    state          corr./deg     raw/deg   corr/"  T/degC  age/ms'
+_HEADER = 'slot joint    state           corrected     raw/deg   corr/"  T/degC  age/ms'
 _NEVER_SHOWN_AS_FAULT = ServiceBit.ALL_VALID | ServiceBit.COMMANDS_ENABLED
 
 
