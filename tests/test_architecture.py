@@ -31,7 +31,9 @@ def test_the_contract_is_numpy_and_the_standard_library() -> None:
 
 def test_the_core_needs_no_library_no_loop_and_no_socket() -> None:
     modules = (
-        "bus, correction, frames, health, modbus_answer, node_setup, pipeline, register_table, registers, sample"
+        "bus, correction, frames, health, modbus_answer, node_setup, pipeline, register_table, registers, sample, "
+        "bus_survey, commissioning, lss, modbus_request, monitor_view, recording, register_reading, sdo_frames, "
+        "verification"
     )
     assert imported(f"from trueangle.core import {modules}", PURE) == []
 

@@ -1,4 +1,4 @@
-"""`trueangled`: run, check-config, check-model, registers, metrics.
+"""`trueangled`: run, check-config, check-model, registers, metrics, and the commands of `trueangle.commands`.
 
 Exit codes: 0 done; 1 the service could not go on (port taken); 2 bad input, every fault on a line of its own.
 """
@@ -12,6 +12,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from trueangle.commands import commission, monitor, record, scan, verify
 from trueangle.config import DaemonConfig, load_config
 from trueangle.contract.errors import ContractError, TrueangleError
 from trueangle.contract.metadata import ModelMetadata
@@ -42,6 +43,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except TrueangleError as error:
         print(f"trueangled: {error}", file=sys.stderr)
         return 1
+    except KeyboardInterrupt:
+        # What a shell makes of SIGINT, without a traceback.
+        return 130
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -69,6 +73,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     registers.add_argument("--format", choices=list(_RENDERERS), default="text")
     registers.set_defaults(command=_registers)
+
+    for module in (scan, commission, verify, monitor, record):
+        module.add_parser(commands)
     return parser
 
 

@@ -450,6 +450,27 @@ class JointConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RecordConfig:
+    """Recording inside the daemon: one CSV file after the other for each joint, bounded in total."""
+
+    directory: Annotated[str, Pattern(regex=r"/.*", meaning="an absolute path")]
+    """It must exist and be writable by the service."""
+    max_bytes: Annotated[int, Range(minimum=100_000, maximum=10**13)] = 1_000_000_000
+    """Of all recorded files together; the oldest is deleted first."""
+    rotate_bytes: Annotated[int, Range(minimum=10_000, maximum=10**12)] = 20_000_000
+    rotate_s: Annotated[float, Range(minimum=1, maximum=31_622_400)] | None = None
+    """A new file at least this often; left out: by size alone."""
+    joints: tuple[str, ...] = ()
+    """Names; left out: every joint."""
+    every_ms: Annotated[int, Range(minimum=10, maximum=3_600_000)] = 100
+
+    def __post_init__(self) -> None:
+        if 2 * self.rotate_bytes > self.max_bytes:
+            expected = f"at most half of max_bytes ({self.max_bytes})"
+            raise ContractError([Fault(where="rotate_bytes", expected=expected, found=str(self.rotate_bytes))])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MetricsConfig:
     """Metrics for Prometheus, over plain HTTP: whoever reaches the port reads them."""
 
@@ -466,6 +487,7 @@ class DaemonConfig:
     buses: tuple[BusConfig, ...]
     joints: tuple[JointConfig, ...]
     modbus: ModbusConfig = field(default_factory=ModbusConfig)
+    record: RecordConfig | None = None
     metrics: MetricsConfig | None = None
     """Left out: none are served."""
     state_directory: str | None = None
@@ -497,6 +519,7 @@ class DaemonConfig:
                 expected = f"more than the sync_period_ms of its bus ({period_ms:g})"
                 where = f"joints[{i}].stale_ms"
                 faults.append(Fault(where=where, expected=expected, found=f"{joint.stale_ms:g}"))
+        faults += _unknown_recorded(self.record, {joint.name for joint in self.joints})
         if faults:
             raise ContractError(faults)
 
@@ -512,6 +535,15 @@ def _heads_on_taken_nodes(joints: tuple[JointConfig, ...]) -> list[Fault]:
                 faults.append(Fault(where=where, expected="a node of its own", found=found))
             taken.add((joint.bus, head.node_id))
     return faults
+
+
+def _unknown_recorded(record: RecordConfig | None, names: set[str]) -> list[Fault]:
+    expected = f"one of the joints: {', '.join(sorted(names))}"
+    return [
+        Fault(where=f"record.joints[{i}]", expected=expected, found=name)
+        for i, name in enumerate(() if record is None else record.joints)
+        if name not in names
+    ]
 
 
 def _repeated(group: str, key: str, values: list[str] | list[int], expected: str) -> list[Fault]:

@@ -38,6 +38,10 @@ COLUMNS = (
 )
 """In the order in which they are written."""
 
+RECORD_MARK = "# trueangled record"
+"""How a file of the daemon's recorder begins. Only there is a last line without its end taken for cut off by a
+loss of power: in a file of anybody else it is a line."""
+
 NEW_RUN_GAP_S = 600.0
 NEW_RUN_STEP_C = 1.0
 
@@ -82,15 +86,16 @@ class Campaign:
 
 def read_campaign(data: bytes, *, source: str) -> Campaign:
     """Parse a campaign file; ContractError lists what is wrong by line."""
+    whole, cut_note = _whole_lines(data)
     optional = tuple(name for name in COLUMNS if name not in REQUIRED_COLUMNS)
-    table = read_number_table(data, source=source, required=REQUIRED_COLUMNS, optional=optional)
+    table = read_number_table(whole, source=source, required=REQUIRED_COLUMNS, optional=optional)
     columns, lines = table.columns, table.row
     faults: list[Fault] = []
     for name in INTEGER_COLUMNS:
         if name in columns:
             _check_integers(name, columns[name], lines, source, faults)
     raise_faults(faults, source)
-    notes = [f"column {name} is unknown and was ignored" for name in table.ignored]
+    notes = [*cut_note, *(f"column {name} is unknown and was ignored" for name in table.ignored)]
     complete = ~(np.isnan(columns["angle_deg"]) | np.isnan(columns["error_arcsec"]))
     if not complete.all():
         missing = lines[~complete]
@@ -103,6 +108,17 @@ def read_campaign(data: bytes, *, source: str) -> Campaign:
     if lines.size == 0:
         raise ContractError([Fault(where=source, expected="at least one reading", found="none")])
     return _campaign(columns, lines, source, hashlib.sha256(data).hexdigest(), notes)
+
+
+def _whole_lines(data: bytes) -> tuple[bytes, list[str]]:
+    """A recording without the line that was being written when it ended, and a note of that.
+
+    Half a line may look whole: 12.3 of 12.345. A file system may also leave zero bytes where the end was to be.
+    """
+    if not data.startswith(RECORD_MARK.encode()) or data.endswith(b"\n"):
+        return data, []
+    end = data.rstrip(b"\0").rfind(b"\n") + 1
+    return data[:end], ["the last line of the recording is cut off and was left out"]
 
 
 def _campaign(columns: dict[str, Floats], lines: Integers, source: str, sha256: str, notes: list[str]) -> Campaign:

@@ -33,11 +33,13 @@ class Commanding:
         *,
         arrangement: Callable[[], Arrangement],
         ask_again: Callable[[str, int, str], None],
+        note_reference: Callable[[int, float], None],
     ) -> None:
         """ContractError where the stored presets cannot be read. `ask_again(bus, node_id, reason)` has a node
-        identified anew."""
+        identified anew; `note_reference(slot, reference_deg)` is told of a reference angle."""
         self._arrangement = arrangement
         self._ask_again = ask_again
+        self._note_reference = note_reference
         self._bindings: dict[int, PresetBinding] = {}
         self._file = PresetFile(directory)
         self.desk = CommandDesk(self, self._file, presets=load_presets(directory), report=report)
@@ -97,6 +99,7 @@ class Commanding:
         """One line with all that a later look at the model needs."""
         arrangement = self._arrangement()
         reading = arrangement.pipeline.reading(slot)
+        self._note_reference(slot, reference_deg)
         _log.info(
             "event=reference_angle slot=%d joint=%r reference_deg=%.9f raw_deg=%s model_deg=%s temperature_c=%s "
             "valid=%d peer=%s role=%r",

@@ -31,6 +31,7 @@ from trueangle.service.commanding import Commanding
 from trueangle.service.joints import Loaded, LoadedJoint
 from trueangle.service.measuring import service_samples
 from trueangle.service.modbus_side import ModbusSide
+from trueangle.service.recording import recorded_joints, recorder_of
 from trueangle.service.reloading import ReloadRecord, restart_faults
 
 TICK_S = 0.01
@@ -76,6 +77,8 @@ class Service:
             tls=load_tls(),
             sockets=self._sockets,
         )
+        self.recorder = recorder_of(config)
+        """None where nothing is to be recorded."""
         self._arrangement = self._arranged(Loaded(config=config, joints=joints))
         self._lines: dict[str, BusLine] = {}
         self._leaving: list[BusLine] = []
@@ -93,12 +96,19 @@ class Service:
         """A stop or a reload was asked for, or the loading has ended."""
         if state_directory is not None:
             self._commanding = Commanding(
-                state_directory, arrangement=lambda: self._arrangement, ask_again=self._on_clash
+                state_directory,
+                arrangement=lambda: self._arrangement,
+                ask_again=self._on_clash,
+                note_reference=self._note_reference,
             )
             self._server.take_commands(self._commanding.desk)
         elif config.modbus.commands:
             expected = "a state_directory, where presets are kept"
             raise ContractError([Fault(where="modbus.commands", expected=expected, found="none")])
+
+    def _note_reference(self, slot: int, reference_deg: float) -> None:
+        if self.recorder is not None:
+            self.recorder.note_reference(slot, reference_deg)
 
     def stop(self) -> None:
         """Ask for an orderly stop."""
@@ -122,6 +132,8 @@ class Service:
         loop.add_signal_handler(signal.SIGHUP, self.reload)
         try:
             async with AsyncExitStack() as stack:
+                if self.recorder is not None:
+                    stack.enter_context(self.recorder)
                 if self._commanding is not None:
                     stack.push_async_callback(self._commanding.close)
                 await self._server.start()
@@ -206,6 +218,8 @@ class Service:
             bits |= ServiceBit.COMMANDS_ENABLED
         for line in self._lines.values():
             bits |= line.service_bits(now_ns)
+        if self.recorder is not None and self.recorder.stopped:
+            bits |= ServiceBit.RECORDER_STOPPED
         return bits
 
     async def _until_stopped(self, tasks: asyncio.TaskGroup) -> None:
@@ -281,6 +295,8 @@ class Service:
                 line.detach()
                 self._leaving.append(line)
         self._arrangement, self._lines = new, staying
+        if self.recorder is not None:
+            self.recorder.joints = recorded_joints(new.config)
         if self._commanding is not None:
             self._commanding.rearranged(kept.slots)
         if self._renewed_tls is not None:
@@ -299,6 +315,8 @@ class Service:
 
     def _publish(self, image: RegisterImage) -> None:
         self._server.publish(image)
+        if self.recorder is not None:
+            self.recorder.offer(image, time.monotonic_ns())
         interval_s = self._notifier.watchdog_interval_s
         if interval_s is not None and self._ready:
             now_ns = time.monotonic_ns()
