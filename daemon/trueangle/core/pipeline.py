@@ -381,8 +381,8 @@ class Pipeline:
     def _correct(self) -> None:
         """One model pass over the joints whose sample is newer than their correction.
 
-        A temperature alone is a newer sample too: when a broken sensor is good again, a correction for what it said
-        while it was broken must not be served for the rest of the cycle.
+        A temperature alone is a newer sample too: when a broken sensor is good again, a correction for what it
+        said while it was broken must not be served for the rest of the cycle.
         """
         for joint in self._joints.values():
             raw_deg, temperature_c = joint.angle.raw_deg, joint.sample.temperature_c
