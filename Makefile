@@ -65,3 +65,8 @@ lock:
 
 clean:
 	rm -rf $(VENV) build dist
+
+# A million random and mutated inputs: minutes. The short form is part of `make test`.
+.PHONY: fuzz
+fuzz: $(SETUP)
+	$(VENV)/bin/python -m tests.fuzz

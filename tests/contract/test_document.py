@@ -120,3 +120,25 @@ def test_aliases_that_multiply_are_refused() -> None:
 def test_an_empty_file_is_a_fault() -> None:
     with pytest.raises(ContractError, match="found an empty file"):
         read("# nothing\n")
+
+
+@pytest.mark.parametrize("value", ['!!int ""', '!!float ""', "!!bool x", "!!timestamp x", "!!int x"])
+def test_a_value_that_its_tag_does_not_fit_is_a_fault_of_its_line(value: str) -> None:
+    with pytest.raises(ContractError, match=r"cart\.yaml line 2, a: expected a value of the type"):
+        read(f"b: 1\na: {value}\n")
+
+
+@pytest.mark.parametrize("number", ["9" * 400, "-" + "9" * 400, "0x" + "f" * 5000])
+def test_numbers_that_no_computation_could_hold_are_faults_like_any_other(number: str) -> None:
+    (fault,) = faults_of(f"wheels: [{{size_mm: {number}}}]")
+    assert "found a number of more than 1000 bits" in fault
+    (fault,) = faults_of(f"wheels: []\nload: {number}")
+    assert "expected a whole number, found a number of more than 1000 bits" in fault
+
+
+def test_plain_data_nested_too_deep_are_refused_before_they_exhaust_the_stack() -> None:
+    value: object = 1
+    for _ in range(900):
+        value = [value]
+    with pytest.raises(ContractError, match=r"presets\.json: expected at most 50 values in one another"):
+        document_from_plain(value, source="presets.json")

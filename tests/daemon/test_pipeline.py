@@ -140,6 +140,17 @@ def running() -> Bench:
     return bench
 
 
+def test_no_correction_for_a_broken_temperature_is_served_once_the_sensor_is_good_again() -> None:
+    bench = Bench()
+    bench.bring_into_service()
+    bench.feed(bench.temperature(1, 130.0), bench.position(1, 90.0, 1))
+    assert StatusBit.TEMPERATURE_BROKEN in bench.status(1)
+    bench.feed(bench.temperature(1, 20.0))
+    bench.pipeline.tick(bench.now_ns)
+    assert StatusBit.VALID in bench.status(1)
+    assert bench.fast(1)["correction"] == 30_000
+
+
 def test_a_complete_cycle_serves_raw_plus_correction() -> None:
     bench = running()
     served = bench.fast(1)

@@ -23,7 +23,10 @@ Scalar = str | int | float | bool | None
 
 MAX_NODES = 20_000
 """A document that grows beyond this by aliases is refused ("billion laughs")."""
-
+MAX_DEPTH = 50
+"""Of JSON-like data; no document of ours goes deeper than ten."""
+MAX_INTEGER_BITS = 1000
+"""Larger numbers fit no binary64, and Python refuses to print the largest."""
 
 _PLAIN_INTEGER = r"-?(0|[1-9][0-9]*)|0x[0-9a-fA-F]+"
 
@@ -142,8 +145,8 @@ def _convert(raw: Any, reader: YamlLoader, at: Node, faults: list[Fault], budget
     if raw.id == "mapping":
         entries: dict[str, Node] = {}
         for raw_key, raw_value in raw.value:
-            key = reader.construct_object(raw_key) if raw_key.id == "scalar" else None
             place = dataclasses.replace(here, line=raw_key.start_mark.line + 1)
+            key = _constructed(raw_key, reader, place, faults) if raw_key.id == "scalar" else None
             if not isinstance(key, str):
                 faults.append(Fault(where=place.where, expected="a name as key", found=repr(key)))
                 continue
@@ -159,7 +162,7 @@ def _convert(raw: Any, reader: YamlLoader, at: Node, faults: list[Fault], budget
             for i, item in enumerate(raw.value)
         ]
         return dataclasses.replace(here, value=items)
-    value = reader.construct_object(raw)
+    value = _constructed(raw, reader, here, faults)
     if type(value) is int and not re.fullmatch(_PLAIN_INTEGER, raw.value):
         # YAML 1.1 reads 010 as eight and 1:10 as seventy: nobody who writes a node number means that.
         faults.append(Fault(where=here.where, expected="a plain decimal or 0x number", found=raw.value))
@@ -168,18 +171,34 @@ def _convert(raw: Any, reader: YamlLoader, at: Node, faults: list[Fault], budget
     return dataclasses.replace(here, value=value)
 
 
-def document_from_plain(value: Any, *, source: str, path: str = "") -> Node:
-    """A document without lines from JSON-like data."""
+def _constructed(raw: Any, reader: YamlLoader, at: Node, faults: list[Fault]) -> Any:
+    """The value of a scalar; None, and a fault, where its tag does not fit its text (`!!int ""`, `!!bool x`)."""
+    try:
+        return reader.construct_object(raw)
+    except (LookupError, AttributeError, TypeError, ArithmeticError, ValueError):
+        # PyYAML's constructors take the text to be right: what they raise for one that is not is an accident.
+        found = f"the text {raw.value[:40]!r}"
+        faults.append(Fault(where=at.where, expected=f"a value of the type {raw.tag}", found=found))
+        return None
+
+
+def document_from_plain(value: Any, *, source: str, path: str = "", depth: int = 0) -> Node:
+    """A document without lines from JSON-like data; ContractError where it is nested too deep."""
     at = Node(value=None, source=source, path=path)
+    if depth > MAX_DEPTH:
+        expected = f"at most {MAX_DEPTH} values in one another"
+        raise ContractError([Fault(where=source, expected=expected, found=f"more, at {path[:40]}...")])
     if isinstance(value, Mapping):
         entries = {
-            str(key): document_from_plain(item, source=source, path=f"{path}.{key}" if path else str(key))
+            str(key): document_from_plain(
+                item, source=source, path=f"{path}.{key}" if path else str(key), depth=depth + 1
+            )
             for key, item in cast("Mapping[Any, Any]", value).items()
         }
         return dataclasses.replace(at, value=entries)
     if isinstance(value, (list, tuple)):
         items = [
-            document_from_plain(item, source=source, path=f"{path}[{i}]")
+            document_from_plain(item, source=source, path=f"{path}[{i}]", depth=depth + 1)
             for i, item in enumerate(cast("Sequence[Any]", value))
         ]
         return dataclasses.replace(at, value=items)
@@ -346,7 +365,7 @@ def _structure_scalar(hint: type[Any], node: Node, faults: list[Fault], limits: 
     value = node.value
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
     fits = number if hint is float else (isinstance(value, hint) and (hint is bool or type(value) is not bool))
-    finite = not isinstance(value, float) or math.isfinite(value)
+    finite = math.isfinite(value) if isinstance(value, float) else not _is_huge(value)
     limit = next((x for x in limits if isinstance(x, Range)), None)
     pattern = next((x for x in limits if isinstance(x, Pattern)), None)
     expected = _SCALARS[hint] + (f", {limit}" if limit else "") + (f", {pattern.meaning}" if pattern else "")
@@ -375,4 +394,10 @@ def _shown(node: Node) -> str:
         return f"the text {node.value!r}"
     if isinstance(node.value, Sequence):
         return "a list"
+    if _is_huge(node.value):
+        return f"a number of more than {MAX_INTEGER_BITS} bits"
     return "nothing" if node.value is None else str(node.value)
+
+
+def _is_huge(value: object) -> bool:
+    return isinstance(value, int) and value.bit_length() > MAX_INTEGER_BITS

@@ -110,6 +110,7 @@ class _Joint(_Head):
     __slots__ = (
         "angle",
         "channel",
+        "corrected_at_c",
         "correction",
         "due",
         "fusion",
@@ -135,6 +136,8 @@ class _Joint(_Head):
         self.angle: AngleSource = self.fusion or self.sample.position
         """Where the joint's angle is read."""
         self.correction: Correction | None = None
+        self.corrected_at_c: float | None = None
+        """The temperature that the correction was made for."""
         self.due = False
         """Its position has changed since the last model pass."""
         self.unfused = False
@@ -409,13 +412,18 @@ class Pipeline:
         self._serve(now_ns)
 
     def _correct(self) -> None:
-        """One model pass over the joints whose sample is newer than their correction."""
+        """One model pass over the joints whose sample is newer than their correction.
+
+        A temperature alone is a newer sample too: when a broken sensor is good again, a correction for what it
+        said while it was broken must not be served for the rest of the cycle.
+        """
         for joint in self._joints.values():
             raw_deg, temperature_c = joint.angle.raw_deg, joint.sample.temperature_c
             if raw_deg is None or temperature_c is None:
                 joint.correction = None
-            elif joint.due or joint.correction is None:
+            elif joint.due or joint.correction is None or joint.corrected_at_c != temperature_c:
                 joint.correction = correct_one(joint.channel.model, raw_deg, temperature_c)
+                joint.corrected_at_c = temperature_c
             joint.due = False
 
     def _check_day(self, now_ns: int) -> None:
