@@ -244,13 +244,13 @@ def _only(answers: Answers, code: int, service: str) -> bytes:
     """The one answer; the same frame twice is two units as well: on a bus equal frames merge into one."""
     if not answers:
         raise LinkError(f"LSS {service}: no unit answers; is its supply on, the bit rate right, LSS supported?")
-    if len(answers) > 1:
+    answer, *others = answers
+    if others:
         listed = ", ".join(_shown(answer) for answer in answers)
         raise NodeFault(
             f"LSS {service}: expected one unit, {len(answers)} answered ({listed}); "
             "select one by its identity, or connect one at a time"
         )
-    (answer,) = answers
     if len(answer) != 8 or answer[0] != code:
         raise NodeFault(f"LSS {service}: expected 8 bytes with code 0x{code:02X}, got {_shown(answer)}")
     return answer
