@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from trueangle.config import DaemonConfig, JointConfig, Supervision, TemperatureConfig, TpdoConfig
 from trueangle.contract.errors import ContractError, Fault
+from trueangle.contract.transmission import Trigger
 from trueangle.core.frames import (
     POSITION_OBJECT,
     ExpectedValue,
@@ -17,7 +18,6 @@ from trueangle.core.frames import (
     PolledObject,
     Quantity,
     TpdoPlan,
-    Trigger,
 )
 
 TPDO_BASES = (0x180, 0x280, 0x380, 0x480)

@@ -25,16 +25,6 @@ class Quantity(enum.Enum):
     """Whether an encoder without an absolute zero has passed its reference."""
 
 
-class Trigger(enum.Enum):
-    """What makes a node send a TPDO."""
-
-    SYNC = "sync"
-    TIMER = "timer"
-    """Its own event timer."""
-    EVENT = "event"
-    """A change of the value, and the event timer where nothing changes."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MappedObject:
     """One entry of a PDO mapping (CiA 301, 0x1A00 and following: index, subindex, length in bits)."""

@@ -4,7 +4,6 @@ An arrangement is replaced as a whole between two cycles (`take_over`); a joint 
 were keeps its samples and its node.
 """
 
-import datetime
 import logging
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping
@@ -52,9 +51,12 @@ class Arrangement:
         *,
         publish: Callable[[RegisterImage], None],
         on_clash: Callable[[str, int, str], None],
+        today: LatestDay,
         on_accepted: Callable[[int, EncoderSettings], None] | None = None,
     ) -> None:
         """`on_clash(bus, node_id, reason)` asks for a node to be identified anew.
+
+        `today` outlives the arrangement: a reload must not make a calibration good again that was past due.
 
         `on_accepted(slot, settings)` is called when the encoder was read and fits, before it is served.
         """
@@ -70,7 +72,7 @@ class Arrangement:
             on_status=self._on_status,
             sensors=[(bus, plan) for bus, plans in self._plans.items() for plan in plans],
             on_clash=self._clash,
-            today=LatestDay(lambda: datetime.datetime.now(datetime.UTC).date()),
+            today=today,
         )
         now_ns = time.monotonic_ns()
         self.outages = {slot: OutageLog(slot, joint.config.name, now_ns) for slot, joint in self.joints.items()}
@@ -165,10 +167,6 @@ class Arrangement:
 
     def accept_head(self, slot: int, head: int, settings: EncoderSettings) -> list[str]:
         """The same for one of the joint's further heads."""
-        return head_differences(self.joints[slot].config, head, settings)
-
-    def accept_head(self, slot: int, head: int, settings: EncoderSettings) -> list[str]:
-        """The same for a further reading head of the joint."""
         return head_differences(self.joints[slot].config, head, settings)
 
     def _on_status(self, slot: int, before: StatusBit, after: StatusBit) -> None:

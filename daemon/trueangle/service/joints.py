@@ -14,7 +14,7 @@ from trueangle.config import DaemonConfig, JointConfig, load_config
 from trueangle.contract.encoder import EncoderSettings
 from trueangle.contract.errors import ContractError, Fault
 from trueangle.contract.metadata import Interval
-from trueangle.core.frames import Trigger
+from trueangle.contract.transmission import Trigger
 from trueangle.core.health import Limits
 from trueangle.core.pipeline import JointChannel
 from trueangle.core.registers import JointIdentity

@@ -7,6 +7,7 @@ swapped in between two cycles; what is refused changes nothing.
 """
 
 import asyncio
+import datetime
 import logging
 import signal
 import time
@@ -19,6 +20,7 @@ from types import TracebackType
 from trueangle.config import DaemonConfig
 from trueangle.contract.encoder import EncoderSettings
 from trueangle.contract.errors import ContractError, Fault
+from trueangle.core.calendar_day import LatestDay
 from trueangle.core.health import ServiceBit
 from trueangle.core.metrics import CONTENT_TYPE, render_metrics
 from trueangle.core.registers import RegisterImage
@@ -79,6 +81,7 @@ class Service:
         )
         self.recorder = recorder_of(config)
         """None where nothing is to be recorded."""
+        self._today = LatestDay(lambda: datetime.datetime.now(datetime.UTC).date())
         self._arrangement = self._arranged(Loaded(config=config, joints=joints))
         self._lines: dict[str, BusLine] = {}
         self._leaving: list[BusLine] = []
@@ -262,7 +265,13 @@ class Service:
         return self._arranged(loaded)
 
     def _arranged(self, loaded: Loaded) -> Arrangement:
-        return Arrangement(loaded, publish=self._publish, on_clash=self._on_clash, on_accepted=self._on_accepted)
+        return Arrangement(
+            loaded,
+            publish=self._publish,
+            on_clash=self._on_clash,
+            today=self._today,
+            on_accepted=self._on_accepted,
+        )
 
     def _on_accepted(self, slot: int, settings: EncoderSettings) -> None:
         if self._commanding is not None:
