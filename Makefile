@@ -53,6 +53,7 @@ diagnosis-check-short: $(SETUP)
 registers: $(SETUP)
 	$(VENV)/bin/trueangled registers --format markdown > deploy/registers.md
 	$(VENV)/bin/trueangled registers --format csv > deploy/registers.csv
+	$(VENV)/bin/trueangled metrics > deploy/metrics.md
 
 # Needs uv; the locks carry hashes and no index address.
 UV_LOCK = uv pip compile -q pyproject.toml --universal --python-version 3.11 --generate-hashes \

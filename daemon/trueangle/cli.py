@@ -1,4 +1,4 @@
-"""`trueangled`: run, check-config, check-model, registers.
+"""`trueangled`: run, check-config, check-model, registers, metrics.
 
 Exit codes: 0 done; 1 the service could not go on (port taken); 2 bad input, every fault on a line of its own.
 """
@@ -15,12 +15,13 @@ from pathlib import Path
 from trueangle.config import load_config
 from trueangle.contract.errors import ContractError, TrueangleError
 from trueangle.contract.metadata import ModelMetadata
+from trueangle.core.metrics import render_metric_table
 from trueangle.core.register_table import render_csv, render_markdown, render_text
+from trueangle.edges.journal import LogFormatter
 from trueangle.edges.onnx_model import load_model
-from trueangle.edges.systemd import ServiceNotifier
-from trueangle.service import Loaded, Service, load
+from trueangle.edges.systemd import ServiceNotifier, handed_over_sockets, is_journal
+from trueangle.service import Loaded, Service, load, state_directory
 
-LOG_FORMAT = "%(levelname)s %(message)s"
 _RENDERERS = {"text": render_text, "markdown": render_markdown, "csv": render_csv}
 
 
@@ -58,6 +59,9 @@ def _parser() -> argparse.ArgumentParser:
     check_model.add_argument("model", type=Path, metavar="FILE")
     check_model.set_defaults(command=_check_model)
 
+    metrics = commands.add_parser("metrics", help="print the table of metrics, as Markdown")
+    metrics.set_defaults(command=_metrics)
+
     registers = commands.add_parser("registers", help="print the table of Modbus registers")
     registers.add_argument(
         "--config", type=Path, metavar="FILE", help="the slots of this configuration (else the first six)"
@@ -70,7 +74,9 @@ def _parser() -> argparse.ArgumentParser:
 def _run(options: argparse.Namespace) -> int:
     # A reload that is asked for before the service can hear it is one that finds the files as they are read now.
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    logging.basicConfig(level=logging.INFO, format=LOG_FORMAT, stream=sys.stderr)
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(LogFormatter(journal=is_journal(os.environ, sys.stderr.fileno())))
+    logging.basicConfig(level=logging.INFO, handlers=[handler])
     loaded = load(options.config)
     notifier = ServiceNotifier(os.environ)
     try:
@@ -81,7 +87,15 @@ def _run(options: argparse.Namespace) -> int:
 
 
 async def _serve(path: Path, loaded: Loaded, notifier: ServiceNotifier) -> None:
-    await Service(loaded.config, loaded.joints, notifier, load_again=lambda: load(path)).run()
+    sockets = handed_over_sockets(os.environ)
+    await Service(
+        loaded.config,
+        loaded.joints,
+        notifier,
+        load_again=lambda: load(path),
+        sockets=sockets,
+        state_directory=state_directory(loaded.config, os.environ),
+    ).run()
 
 
 def _check_config(options: argparse.Namespace) -> int:
@@ -134,6 +148,11 @@ def _registers(options: argparse.Namespace) -> int:
     if options.config is not None:
         slots = sorted(joint.slot for joint in load_config(options.config).joints)
     _say(_RENDERERS[options.format](slots))
+    return 0
+
+
+def _metrics(_: argparse.Namespace) -> int:
+    _say(render_metric_table())
     return 0
 
 

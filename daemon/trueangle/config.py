@@ -311,6 +311,15 @@ class JointConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class MetricsConfig:
+    """Metrics for Prometheus, over plain HTTP: whoever reaches the port reads them."""
+
+    host: str = "127.0.0.1"
+    port: Annotated[int, Range(minimum=0, maximum=65535)]
+    """0 takes a free one and logs it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DaemonConfig:
     """The whole configuration file."""
 
@@ -318,6 +327,10 @@ class DaemonConfig:
     buses: tuple[BusConfig, ...]
     joints: tuple[JointConfig, ...]
     modbus: ModbusConfig = field(default_factory=ModbusConfig)
+    metrics: MetricsConfig | None = None
+    """Left out: none are served."""
+    state_directory: str | None = None
+    """Where presets are kept; left out: systemd's StateDirectory=, and nowhere without it."""
 
     def __post_init__(self) -> None:
         faults: list[Fault] = []

@@ -1,13 +1,16 @@
-"""Telling systemd how the service does: READY, RELOADING, STATUS, WATCHDOG (sd_notify(3)).
+"""What systemd and the service tell one another: READY, RELOADING, STATUS, WATCHDOG (sd_notify(3)), the sockets
+of socket units (sd_listen_fds(3)), and whether stderr is the journal.
 
-The datagram protocol is public and three lines long; a library would add a dependency for them.
+The protocols are public and a few lines long; a library would add a dependency for them.
 """
 
 import os
 import socket
-from collections.abc import Mapping
+from collections.abc import Mapping, MutableMapping
 
 MAX_STATUS = 1000
+FIRST_HANDED_OVER = 3
+"""SD_LISTEN_FDS_START: the first descriptor after stdin, stdout and stderr."""
 
 
 class ServiceNotifier:
@@ -80,3 +83,48 @@ def _watchdog_interval_s(environment: Mapping[str, str]) -> float | None:
     if pid and pid != str(os.getpid()):
         return None
     return int(microseconds) / 3e6
+
+
+def handed_over_sockets(environment: MutableMapping[str, str]) -> dict[str, socket.socket]:
+    """The listening TCP sockets of systemd's socket units, by FileDescriptorName=; of two of one name the first.
+
+    The variables are taken out of the environment: no child process shall take the sockets for its own. A socket
+    that is no listening TCP socket is closed: nobody here would ever answer on it.
+    """
+    told = {name: environment.pop(name, "") for name in ("LISTEN_PID", "LISTEN_FDS", "LISTEN_FDNAMES")}
+    if told["LISTEN_PID"] != str(os.getpid()) or not told["LISTEN_FDS"].isdecimal():
+        return {}
+    names = told["LISTEN_FDNAMES"].split(":")
+    sockets: dict[str, socket.socket] = {}
+    for number in range(int(told["LISTEN_FDS"])):
+        name = names[number] if number < len(names) else "unknown"
+        handed_over = _listening(FIRST_HANDED_OVER + number)
+        if handed_over is not None and name not in sockets:
+            sockets[name] = handed_over
+        elif handed_over is not None:
+            handed_over.close()
+    return sockets
+
+
+def _listening(descriptor: int) -> socket.socket | None:
+    try:
+        found = socket.socket(fileno=descriptor)
+        if found.type == socket.SOCK_STREAM and found.family in (socket.AF_INET, socket.AF_INET6):
+            found.set_inheritable(False)
+            found.setblocking(False)
+            if found.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
+                return found
+    except OSError:
+        return None  # closed already, or no socket at all
+    found.close()
+    return None
+
+
+def is_journal(environment: Mapping[str, str], descriptor: int) -> bool:
+    """Whether this descriptor leads to the journal (systemd.exec(5), JOURNAL_STREAM: device and inode)."""
+    told = environment.get("JOURNAL_STREAM", "")
+    try:
+        status = os.fstat(descriptor)
+    except OSError:
+        return False
+    return told == f"{status.st_dev}:{status.st_ino}"

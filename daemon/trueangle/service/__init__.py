@@ -15,6 +15,7 @@ from trueangle.service.joints import (
     load,
     load_joints,
     node_plan,
+    state_directory,
 )
 from trueangle.service.running import IMAGE_AGE_S, TICK_S, Service
 
@@ -32,4 +33,5 @@ __all__ = [
     "load_joints",
     "node_plan",
     "reasons",
+    "state_directory",
 ]

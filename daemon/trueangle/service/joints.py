@@ -5,6 +5,7 @@ while the service goes on.
 """
 
 import datetime
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,6 +44,14 @@ def load(path: Path) -> Loaded:
     config = load_config(path)
     check_buses(config, source=str(path))
     return Loaded(config=config, joints=load_joints(config, base=path.parent, source=str(path)))
+
+
+def state_directory(config: DaemonConfig, environment: Mapping[str, str]) -> Path | None:
+    """Where state outlives the process: as configured, else the first of $STATE_DIRECTORY; None: nowhere."""
+    if config.state_directory is not None:
+        return Path(config.state_directory)
+    first = environment.get("STATE_DIRECTORY", "").split(":")[0]
+    return Path(first) if first else None
 
 
 def check_buses(config: DaemonConfig, *, source: str) -> None:

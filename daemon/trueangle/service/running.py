@@ -10,19 +10,24 @@ import asyncio
 import logging
 import signal
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AsyncExitStack
+from pathlib import Path
+from socket import socket
 from types import TracebackType
 
 from trueangle.config import DaemonConfig
 from trueangle.contract.errors import ContractError
 from trueangle.core.health import ServiceBit
+from trueangle.core.metrics import CONTENT_TYPE, render_metrics
 from trueangle.core.registers import RegisterImage
+from trueangle.edges.metrics import MetricsServer
 from trueangle.edges.modbus_server import ModbusLimits, ModbusTcpServer
 from trueangle.edges.systemd import ServiceNotifier
 from trueangle.service.arrangement import Arrangement
 from trueangle.service.bus_line import BusLine
 from trueangle.service.joints import Loaded, LoadedJoint
+from trueangle.service.measuring import service_samples
 from trueangle.service.reloading import ReloadRecord, restart_faults
 
 TICK_S = 0.01
@@ -45,9 +50,17 @@ class Service:
         notifier: ServiceNotifier,
         *,
         load_again: Callable[[], Loaded] | None = None,
+        sockets: Mapping[str, socket] | None = None,
+        state_directory: Path | None = None,
     ) -> None:
-        """`load_again` is called in a worker thread at each SIGHUP; ContractError refuses. None: no reload."""
+        """`load_again` is called in a worker thread at each SIGHUP; ContractError refuses. None: no reload.
+
+        `sockets`: already bound, by the names of the socket units. `state_directory`: where presets are kept;
+        None: nowhere.
+        """
         self._notifier = notifier
+        self._sockets = dict(sockets or {})
+        self.state_directory = state_directory
         modbus = config.modbus
         self._server = ModbusTcpServer(
             modbus.host,
@@ -60,6 +73,7 @@ class Service:
                 image_age_s=IMAGE_AGE_S,
             ),
             refresh=lambda: self._arrangement.pipeline.tick(time.monotonic_ns()),
+            sockets=self._sockets,
         )
         self._arrangement = self._arranged(Loaded(config=config, joints=joints))
         self._lines: dict[str, BusLine] = {}
@@ -100,7 +114,11 @@ class Service:
         try:
             async with AsyncExitStack() as stack:
                 await self._server.start()
+                self._close_unused()
                 stack.push_async_callback(self._server.close)
+                if (metrics := self._metrics(self._arrangement.config)) is not None:
+                    await metrics.open()
+                    stack.push_async_callback(metrics.close)
                 _tell_unbound(self._arrangement.joints.values())
                 stack.push_async_exit(self._close_lines)
                 await self._open_lines()
@@ -117,6 +135,32 @@ class Service:
             for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
                 loop.remove_signal_handler(number)
         _log.info("event=stopped images=%d", self._arrangement.pipeline.counters.images)
+
+    def _metrics(self, config: DaemonConfig) -> MetricsServer | None:
+        if config.metrics is None:
+            return None
+        started_s = time.time()
+
+        def render() -> str:
+            return render_metrics(
+                service_samples(
+                    self._arrangement,
+                    self._lines,
+                    self._server.counters,
+                    self.reloads,
+                    now_ns=time.monotonic_ns(),
+                    started_s=started_s,
+                )
+            )
+
+        return MetricsServer(config.metrics.host, config.metrics.port, render=render, content_type=CONTENT_TYPE)
+
+    def _close_unused(self) -> None:
+        """A socket that nobody answers on would let its clients wait for ever: they are refused instead."""
+        for name, handed_over in self._sockets.items():
+            if name not in self._server.ports:
+                _log.warning("event=socket_unused name=%r reason='no server of this name is configured'", name)
+                handed_over.close()
 
     async def _open_lines(self) -> None:
         """Open the buses of the arrangement that are not open."""
