@@ -7,6 +7,10 @@ class LinkError(TrueangleError):
     """The way to a device is gone (bus, socket, silent node): degrade and try again with back-off."""
 
 
+class NodeSilent(LinkError):
+    """A node, or its bus, fell silent: nothing speaks against what it said before."""
+
+
 class NodeFault(TrueangleError):
     """A node answers, but not as it must: its joint is taken out of service and the node set up again."""
 

@@ -5,6 +5,7 @@ joints on the same bus. TPDO 1 holds the position; temperatures follow, those of
 """
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from trueangle.config import DaemonConfig, JointConfig, Supervision, TemperatureConfig, TpdoConfig
 from trueangle.contract.errors import ContractError, Fault
@@ -39,7 +40,17 @@ def node_plans(joints: Iterable[JointConfig], bus: str) -> list[NodePlan]:
     for joint in here:
         warm.setdefault(_temperature_node(joint), []).append(joint)
     node_ids = dict.fromkeys((*encoders, *warm))
-    return [_plan(node_id, encoders.get(node_id), warm.get(node_id, [])) for node_id in node_ids]
+    plans = [_plan(node_id, encoders.get(node_id), warm.get(node_id, [])) for node_id in node_ids]
+    return plans + [plan for joint in here for plan in head_plans(joint)]
+
+
+def head_plans(joint: JointConfig) -> list[NodePlan]:
+    """The plans of the joint's further reading heads: set up as its own node is, without the temperature."""
+    own = replace(joint, further_heads=())
+    return [
+        replace(_plan(head.node_id, replace(own, node_id=head.node_id, encoder=head.encoder), []), head=number)
+        for number, head in enumerate(joint.further_heads, start=1)
+    ]
 
 
 def plan_faults(config: DaemonConfig, *, source: str) -> list[Fault]:
@@ -101,16 +112,14 @@ def _tpdo(
 
 def _position(joint: JointConfig) -> tuple[MappedObject, ...]:
     index, subindex = POSITION_OBJECT
-    position = MappedObject(index=index, subindex=subindex, bits=32, quantity=Quantity.POSITION)
-    if joint.sequence is None:
-        return (position,)
-    sequence = MappedObject(
-        index=joint.sequence.index,
-        subindex=joint.sequence.subindex,
-        bits=joint.sequence.bits,
-        quantity=Quantity.SEQUENCE,
-    )
-    return (position, sequence)
+    mapped = [MappedObject(index=index, subindex=subindex, bits=32, quantity=Quantity.POSITION)]
+    beside = ((joint.sequence, Quantity.SEQUENCE), (joint.encoder.reference, Quantity.REFERENCE))
+    for config, quantity in beside:
+        if config is not None:
+            mapped.append(
+                MappedObject(index=config.index, subindex=config.subindex, bits=config.bits, quantity=quantity)
+            )
+    return tuple(mapped)
 
 
 def _temperature(joint: JointConfig, slot: int | None) -> MappedObject:

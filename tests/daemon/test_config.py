@@ -143,3 +143,33 @@ def test_modbus_with_everything_is_good() -> None:
 )
 def test_modbus_that_contradicts_itself_is_refused(modbus: str, found: str) -> None:
     assert any(found in fault for fault in faults_of(f"modbus: {{{modbus}}}\n" + GOOD))
+
+
+@pytest.mark.parametrize(
+    ("key", "found"),
+    [
+        ("when_not_valid: {policy: hold}", "expected hold_ms with policy hold and only with it"),
+        ("when_not_valid: {policy: raw}", "expected allow_raw: true with policy raw and only with it"),
+        ("when_not_valid: {policy: marker, allow_raw: true}", "expected allow_raw: true with policy raw"),
+        ("when_not_valid: {hold_ms: 20}", "expected hold_ms with policy hold"),
+        (
+            "further_heads: [{node_id: 1, mounting_deg: 180, encoder: {counts_per_rev: 4096}}]",
+            "joints[1].further_heads[0].node_id: expected a node of its own",
+        ),
+    ],
+)
+def test_what_stands_in_for_an_angle_and_reads_it_must_be_said_in_full(key: str, found: str) -> None:
+    assert any(found in fault for fault in faults_of(GOOD + f"    {key}\n")), faults_of(GOOD + f"    {key}\n")
+
+
+@pytest.mark.parametrize(
+    ("encoder", "found"),
+    [
+        ("direction: 0", "direction: expected 1 or -1, found 0"),
+        ("gear_ratio: {motor_turns: 100, joint_turns: 1}", "expected settings.total_range_units with a gear"),
+        ("reference: {index: 0x2200, subindex: 0}", "expected none with an absolute encoder, or absolute: false"),
+    ],
+)
+def test_an_encoder_whose_angle_cannot_be_known_is_refused(encoder: str, found: str) -> None:
+    text = GOOD.replace("{counts_per_rev: 3276800}", f"{{counts_per_rev: 3276800, {encoder}}}", 1)
+    assert any(found in fault for fault in faults_of(text)), faults_of(text)

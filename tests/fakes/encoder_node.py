@@ -35,6 +35,12 @@ class EncoderNode(FakeDevice):
     syncs_per_heartbeat: int = 50
     """The 500 ms of the tests' configuration at a SYNC every 10 ms; more often would be two nodes."""
     syncs: int = 0
+    sampled: int = 0
+    """Number of the last sample."""
+    frozen: bool = False
+    """Its process data stand still, the frames go on."""
+    sends_position: bool = True
+    sends_heartbeat: bool = True
     reads: list[Address] = field(default_factory=list[Address])
     """Objects uploaded by SDO, in order."""
 
@@ -60,8 +66,17 @@ class EncoderNode(FakeDevice):
                 kind = self.objects[0x1800 + number, 2][0]
                 if 1 <= kind <= 240 and self.syncs % kind == 0:
                     self._send_process_data(number)
-        if self.objects[0x1017, 0][0] and self.syncs % self.syncs_per_heartbeat == 0:
+        if self.sends_heartbeat and self.objects[0x1017, 0][0] and self.syncs % self.syncs_per_heartbeat == 0:
             self.heartbeat()
+
+    def elapse(self) -> None:
+        """What its event timers make the node do when they have run out."""
+        self.syncs += 1
+        if self.state == OPERATIONAL:
+            for number in range(2):
+                timer_ms, _ = self.objects.get((0x1800 + number, 5), (0, 0))
+                if self.objects[0x1800 + number, 2][0] >= 254 and timer_ms:
+                    self._send_process_data(number)
 
     def _send_process_data(self, number: int) -> None:
         cob = self.objects[0x1800 + number, 1][0]
@@ -70,11 +85,13 @@ class EncoderNode(FakeDevice):
         ]
         mapped = [((entry >> 16, entry >> 8 & 0xFF), entry & 0xFF) for entry in entries]
         warm = any(address == TEMPERATURE for address, _ in mapped)
-        if cob & COB_INVALID or (warm and not self.sends_temperature):
+        if cob & COB_INVALID or not (self.sends_temperature if warm else self.sends_position):
             return
+        if not self.frozen:
+            self.sampled = self.syncs & 0xFFFF
         values = {
-            POSITION: self.counts(self.syncs & 0xFFFF),
-            SEQUENCE: self.syncs & 0xFFFF,
+            POSITION: self.counts(self.sampled),
+            SEQUENCE: self.sampled,
             TEMPERATURE: self.temperature_centi_c,
         }
         data = b"".join(

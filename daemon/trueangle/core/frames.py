@@ -112,6 +112,8 @@ class NodePlan:
     """Never written to: what it is set to must already be right."""
     polls: tuple[PolledObject, ...] = ()
     expected: tuple[ExpectedValue, ...] = ()
+    head: int = 0
+    """Which reading head of its joint it is: 0 for the first."""
 
 
 LAST_SYNCHRONOUS_TYPE = 240

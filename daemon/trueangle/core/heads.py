@@ -40,8 +40,12 @@ class _Sectors:
 
     def furthest_deg(self, sector: int, from_deg: float) -> float | None:
         """The largest distance of this sector's differences from one; None where the head was never seen there."""
-        least, greatest = self._least[sector], self._greatest[sector]
-        return None if least > greatest else max(abs(least - from_deg), abs(greatest - from_deg))
+        if self._least[sector] > self._greatest[sector]:
+            return None
+        # The neighbours too, as far as they are known: the fused angle may lie on the other side of a border.
+        around = (sector - 1, sector, (sector + 1) % SECTORS)
+        least, greatest = min(self._least[s] for s in around), max(self._greatest[s] for s in around)
+        return max(abs(least - from_deg), abs(greatest - from_deg))
 
 
 class HeadFusion:

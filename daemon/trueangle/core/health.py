@@ -97,7 +97,7 @@ SERVICE_MEANING: dict[ServiceBit, str] = {
     ServiceBit.FRAMES_DROPPED: "frames of a CAN bus were dropped before they were read",
     ServiceBit.BUS_DEGRADED: "a CAN controller warns of errors or is error-passive",
     ServiceBit.RECORDER_STOPPED: "the recorder is configured and does not write",
-    ServiceBit.RELOAD_REFUSED: "the last reload was refused; the configuration before it is in force",
+    ServiceBit.RELOAD_REFUSED: "the last reload was refused: configuration and models of before are in force",
     ServiceBit.COMMANDS_ENABLED: "this daemon takes commands",
 }
 
@@ -116,10 +116,10 @@ class NodeCondition(enum.Enum):
     ID_CLASH = "node-id clash"
 
 
+_GOOD = StatusBit.VALID | StatusBit.CONFIGURED
 _AGAINST_NODE = {
     NodeCondition.NOT_READY: StatusBit.NODE_NOT_READY,
     NodeCondition.SILENT: StatusBit.NODE_NOT_READY,
-    NodeCondition.RUNNING: StatusBit(0),
     NodeCondition.DIFFERS: StatusBit.ENCODER_DIFFERS,
     NodeCondition.FAULT: StatusBit.NODE_FAULT,
     NodeCondition.ID_CLASH: StatusBit.NODE_ID_CLASH,
@@ -170,17 +170,18 @@ class Evidence:
 
 def judge(evidence: Evidence, limits: Limits) -> StatusBit:
     """The joint's status word: every reason that holds, VALID exactly when none does."""
+    # Plain numbers until something is wrong: an operation on flags costs more than all comparisons of limits.
     against = _against_source(evidence, limits) | _against_temperature(evidence, limits)
     against |= _against_correction(evidence, limits)
-    status = StatusBit.CONFIGURED if against else StatusBit.CONFIGURED | StatusBit.VALID
+    status = StatusBit.CONFIGURED | against if against else _GOOD
     if evidence.past_due and limits.serve_past_due:
         status |= StatusBit.CALIBRATION_PAST_DUE
-    return status | against
+    return status
 
 
-def _against_source(evidence: Evidence, limits: Limits) -> StatusBit:
+def _against_source(evidence: Evidence, limits: Limits) -> int:
     """Bus, node and position."""
-    against = _AGAINST_NODE[evidence.node]
+    against = 0 if evidence.node is NodeCondition.RUNNING else int(_AGAINST_NODE[evidence.node])
     if not evidence.bus_up:
         against |= StatusBit.BUS_DOWN
     if evidence.sync_lost:
@@ -196,8 +197,8 @@ def _against_source(evidence: Evidence, limits: Limits) -> StatusBit:
     return against
 
 
-def _against_temperature(evidence: Evidence, limits: Limits) -> StatusBit:
-    against = StatusBit(0)
+def _against_temperature(evidence: Evidence, limits: Limits) -> int:
+    against = 0
     if evidence.temperature_age_s is None or evidence.temperature_age_s > limits.temperature_stale_s:
         against |= StatusBit.TEMPERATURE_STALE
     if evidence.temperature_fault:
@@ -212,8 +213,8 @@ def _against_temperature(evidence: Evidence, limits: Limits) -> StatusBit:
     return against
 
 
-def _against_correction(evidence: Evidence, limits: Limits) -> StatusBit:
-    against = StatusBit(0)
+def _against_correction(evidence: Evidence, limits: Limits) -> int:
+    against = 0
     if evidence.raw_deg is not None:
         if not limits.model_angle_deg.holds(evidence.raw_deg):
             against |= StatusBit.ANGLE_OUTSIDE_MODEL

@@ -78,6 +78,10 @@ class NodeReport:
     """As read at this bring-up; None before it was read."""
     reason: str = ""
     """Why it is LOST, FAULT or REFUSED; empty otherwise."""
+    silent: bool = False
+    """Out of service for silence or with its bus, and not heard of since: what it said before was true."""
+    head: int = 0
+    """Which reading head of its joint the node is."""
 
     @property
     def in_service(self) -> bool:

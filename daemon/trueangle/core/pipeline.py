@@ -30,6 +30,7 @@ Frame = tuple[int, bytes, int]
 SYNC_COB_ID = 0x080
 _NO_SYNC = SyncHistory()
 """For nodes that send by themselves: their samples have the time of their arrival."""
+_VALID = int(StatusBit.VALID)
 DAY_CHECK_NS = 1_000_000_000
 _NOT_LOGGED = StatusBit.LATENCY_COMPENSATED
 """Comes and goes with the age of a sample: a register tells it, the log does not."""
@@ -409,7 +410,7 @@ class Pipeline:
         service = ServiceBit.ALL_VALID
         for slot, joint in self._joints.items():
             states[slot] = state = self._state(joint, now_ns)
-            if StatusBit.VALID not in state.status:
+            if not int(state.status) & _VALID:
                 service &= ~ServiceBit.ALL_VALID
             before, joint.status = joint.status, state.status
             if before != state.status and (before ^ state.status) & ~_NOT_LOGGED:

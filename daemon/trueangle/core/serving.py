@@ -33,6 +33,7 @@ AGAINST_CORRECTION_ALONE = (
     | StatusBit.UNCERTAINTY_HIGH
     | StatusBit.CALIBRATION_PAST_DUE
 )
+_VALID = int(StatusBit.VALID)
 _NEITHER_REASON = StatusBit.VALID | StatusBit.CONFIGURED | INFORMATION
 
 
@@ -104,7 +105,7 @@ class ServedJoint:
         """The angle for this status; `moved_deg`: since the sample, None where it is not moved on."""
         if self.user_zero_deg:
             status |= StatusBit.USER_PRESET
-        if StatusBit.VALID in status:
+        if int(status) & _VALID:
             if correction is None or raw_deg is None or stamp_ns is None:
                 return Served(bits=status & ~StatusBit.VALID, age_ms=age_ms)
             return self._serve_good(status, raw_deg, correction, moved_deg, stamp_ns, age_ms)

@@ -4,12 +4,14 @@ An arrangement is replaced as a whole between two cycles (`take_over`); a joint 
 were keeps its samples and its node.
 """
 
+import datetime
 import logging
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping
 
 from trueangle.config import DaemonConfig
 from trueangle.contract.encoder import EncoderSettings
+from trueangle.core.calendar_day import LatestDay
 from trueangle.core.carry_over import CarriedOver, NodeKey, carried_over
 from trueangle.core.frames import NodePlan
 from trueangle.core.health import NodeCondition, StatusBit
@@ -25,6 +27,7 @@ from trueangle.service.joints import (
     joint_channel,
     joint_identity,
 )
+from trueangle.serving_settings import head_differences, range_counts
 
 SETTLE_S = 1.0
 """A node in service for so long without a valid angle has had its chance: the service is ready without it."""
@@ -62,6 +65,7 @@ class Arrangement:
             on_status=self._on_status,
             sensors=[(bus, plan) for bus, plans in self._plans.items() for plan in plans],
             on_clash=self._clash,
+            today=LatestDay(lambda: datetime.datetime.now(datetime.UTC).date()),
         )
         now_ns = time.monotonic_ns()
         self.outages = {slot: OutageLog(slot, joint.config.name, now_ns) for slot, joint in self.joints.items()}
@@ -129,9 +133,14 @@ class Arrangement:
     def on_node(self, slot: int, report: NodeReport) -> None:
         """A node's life cycle moved on."""
         now_ns = time.monotonic_ns()
-        self.node_state[slot] = report.state
-        self.node_since_ns[slot] = now_ns
-        self.pipeline.on_node(slot, _CONDITIONS.get(report.state, NodeCondition.NOT_READY), now_ns)
+        if report.head == 0:
+            self.node_state[slot] = report.state
+            self.node_since_ns[slot] = now_ns
+        unready = NodeCondition.SILENT if report.silent else NodeCondition.NOT_READY
+        condition = _CONDITIONS.get(report.state, unready)
+        self.pipeline.on_node(
+            slot, condition, now_ns, head=report.head, range_counts=range_counts(report.settings)
+        )
 
     def on_sensor(self, bus: str, node_id: int, report: NodeReport) -> None:
         """The life cycle of any node moved on; those without an encoder are told so alone."""
@@ -145,6 +154,10 @@ class Arrangement:
     def accept(self, slot: int, settings: EncoderSettings) -> list[str]:
         """Why this encoder must not be corrected with the joint's model; empty where it may."""
         return encoder_differences(self.joints[slot], settings)
+
+    def accept_head(self, slot: int, head: int, settings: EncoderSettings) -> list[str]:
+        """The same for a further reading head of the joint."""
+        return head_differences(self.joints[slot].config, head, settings)
 
     def _on_status(self, slot: int, before: StatusBit, after: StatusBit) -> None:
         del before  # the outage log keeps its own account

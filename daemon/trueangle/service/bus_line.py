@@ -39,6 +39,7 @@ class BusLine:
             plans,
             on_node=self._on_node,
             accept=self._accept,
+            accept_head=self._accept_head,
             on_sensor=self._on_sensor,
             on_value=self._on_value,
             on_alive=self._on_alive,
@@ -131,3 +132,8 @@ class BusLine:
         if self._arrangement is None:
             return ["the bus is being closed"]
         return self._arrangement.accept(slot, settings)
+
+    def _accept_head(self, slot: int, head: int, settings: EncoderSettings) -> list[str]:
+        if self._arrangement is None:
+            return ["the bus is being closed"]
+        return self._arrangement.accept_head(slot, head, settings)

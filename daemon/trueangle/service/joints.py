@@ -5,6 +5,7 @@ while the service goes on.
 """
 
 import datetime
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,8 +20,12 @@ from trueangle.core.pipeline import JointChannel
 from trueangle.core.registers import JointIdentity
 from trueangle.core.sample import SampleScale
 from trueangle.edges.can_bus import bus_faults
+from trueangle.edges.can_master.eds import eds_objections, load_eds
 from trueangle.edges.onnx_model import OnnxModel, load_model
 from trueangle.process_data import node_plan, plan_faults
+from trueangle.serving_settings import count_differences, served_as_configured
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,7 +74,7 @@ def load_joints(config: DaemonConfig, *, base: Path, source: str) -> tuple[Loade
 
     Model paths are relative to `base`, the configuration file's directory.
     """
-    faults: list[Fault] = []
+    faults = _data_sheet_faults(config, base)
     loaded: list[LoadedJoint] = []
     for i, joint in enumerate(config.joints):
         try:
@@ -83,6 +88,22 @@ def load_joints(config: DaemonConfig, *, base: Path, source: str) -> tuple[Loade
     if faults:
         raise ContractError(faults)
     return tuple(loaded)
+
+
+def _data_sheet_faults(config: DaemonConfig, base: Path) -> list[Fault]:
+    """Data sheets that cannot be read; where one disagrees with the plan, the node itself has the last word."""
+    faults: list[Fault] = []
+    for joint in config.joints:
+        if joint.eds is None:
+            continue
+        try:
+            sheet = load_eds(base / joint.eds, joint.node_id)
+        except ContractError as error:
+            faults += error.faults
+            continue
+        for objection in eds_objections(node_plan(joint), sheet):
+            _log.warning("event=eds_disagrees joint=%r eds=%s reason=%r", joint.name, joint.eds, objection)
+    return faults
 
 
 def _models_used_twice(loaded: list[LoadedJoint], source: str) -> list[Fault]:
@@ -115,16 +136,7 @@ def _model_against_config(model: OnnxModel, joint: JointConfig, where: str) -> l
 
 def encoder_differences(joint: LoadedJoint, found: EncoderSettings) -> list[str]:
     """Why this encoder must not be corrected with this model; empty where it may."""
-    differences: list[str] = []
-    counts_per_rev = found.counts_per_rev
-    if counts_per_rev != joint.config.encoder.counts_per_rev:
-        expected = joint.config.encoder.counts_per_rev
-        shown = "not readable" if counts_per_rev is None else str(counts_per_rev)
-        differences.append(f"counts per revolution expected {expected} found {shown}")
-    range_units = found.total_range_units
-    if range_units is not None and (range_units or 2**32) % joint.config.encoder.counts_per_rev:
-        # The position would wrap in the middle of a turn and show another angle from then on.
-        differences.append(f"total_range_units {range_units} is no whole number of turns")
+    differences = count_differences(joint.config.encoder, found)
     for expected in (joint.config.encoder.settings, joint.model.metadata.encoder_settings):
         differences += [text for text in found.differences_from(expected) if text not in differences]
     return differences
@@ -133,7 +145,7 @@ def encoder_differences(joint: LoadedJoint, found: EncoderSettings) -> list[str]
 def joint_channel(joint: LoadedJoint) -> JointChannel:
     """What the pipeline needs of a joint."""
     config, metadata = joint.config, joint.model.metadata
-    return JointChannel(
+    channel = JointChannel(
         slot=config.slot,
         bus=config.bus,
         plan=node_plan(config),
@@ -157,6 +169,7 @@ def joint_channel(joint: LoadedJoint) -> JointChannel:
         temperature_node=config.temperature.node_id,
         temperature_has_status=config.temperature.status is not None,
     )
+    return served_as_configured(channel, config, metadata.calibration)
 
 
 def joint_identity(joint: LoadedJoint) -> JointIdentity:

@@ -30,6 +30,7 @@ class CanMaster:
     settings)` gives the differences for which the node's angle must not be corrected; empty accepts.
     `on_sensor(node_id, report)` is the same for every node, by its id; `on_value(slot, quantity, value, stamp_ns)`
     tells what was read by SDO, `on_alive(node_id, stamp_ns)` that a node in service lives.
+    `accept_head(slot, head, settings)` is `accept` for a joint's further heads; without it they are refused.
     """
 
     def __init__(
@@ -42,13 +43,15 @@ class CanMaster:
         on_sensor: Callable[[int, NodeReport], None] | None = None,
         on_value: Callable[[int, Quantity, int, int], None] | None = None,
         on_alive: Callable[[int, int], None] | None = None,
+        accept_head: Callable[[int, int, EncoderSettings], list[str]] | None = None,
         timing: MasterTiming | None = None,
     ) -> None:
         self._bus, self._on_node, self._accept = bus, on_node, accept
+        self._on_sensor, self._on_value, self._on_alive = on_sensor, on_value, on_alive
+        self._accept_head = accept_head
         self._timing = timing or MasterTiming()
         # canopen warns at each SDO time-out, twice a second while a node is away; the transition is logged here.
         logging.getLogger("canopen.sdo.client").setLevel(logging.CRITICAL)
-        self._on_sensor, self._on_value, self._on_alive = on_sensor, on_value, on_alive
         self._threads = ThreadPoolExecutor(MAX_SDO_THREADS, "sdo")
         self._bus_up: tuple[bool, str] = (False, "not open yet")
         self._nodes = {plan.node_id: self._supervisor(plan) for plan in plans}
@@ -71,19 +74,24 @@ class CanMaster:
             if self._on_sensor is not None:
                 self._on_sensor(node_id, report)
 
-        def on_value(slot: int, quantity: Quantity, value: int, stamp_ns: int) -> None:
-            if self._on_value is not None:
-                self._on_value(slot, quantity, value, stamp_ns)
+        def accept(settings: EncoderSettings) -> list[str]:
+            if slot is None:
+                return []
+            if plan.head == 0:
+                return self._accept(slot, settings)
+            if self._accept_head is None:
+                return ["nobody knows this head"]
+            return self._accept_head(slot, plan.head, settings)
 
-        def on_alive(stamp_ns: int) -> None:
-            if self._on_alive is not None:
-                self._on_alive(node_id, stamp_ns)
+        def on_value(value_slot: int, quantity: Quantity, value: int, stamp_ns: int) -> None:
+            if self._on_value is not None:
+                self._on_value(value_slot, quantity, value, stamp_ns)
 
         return NodeListener(
             on_report=on_report,
-            accept=lambda settings: [] if slot is None else self._accept(slot, settings),
+            accept=accept,
             on_value=on_value,
-            on_alive=on_alive,
+            on_alive=lambda stamp_ns: None if self._on_alive is None else self._on_alive(node_id, stamp_ns),
         )
 
     def _lay_routes(self) -> None:
@@ -92,7 +100,7 @@ class CanMaster:
         }
 
     def rearrange(self, *, leaving: Collection[int], coming: Sequence[NodePlan]) -> None:
-        """End the lives of the nodes that leave and begin those that come, between two frames; the others go on.
+        """End the lives of the node-ids that leave, begin those that come, between two frames; the others go on.
 
         What a leaving node says is not heard any more when this returns, and nothing is reported of it.
         """
@@ -146,7 +154,8 @@ class CanMaster:
 
     def distrust_node(self, node_id: int, reason: str) -> None:
         """Frames of this node cast doubt on it: it is identified again."""
-        self._nodes[node_id].distrust(reason)
+        if node_id in self._nodes:
+            self._nodes[node_id].distrust(reason)
 
     @property
     def cob_ids(self) -> frozenset[int]:

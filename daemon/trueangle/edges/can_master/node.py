@@ -27,7 +27,7 @@ from trueangle.edges.can_master.sdo import (
     MasterTiming,
     SdoPort,
 )
-from trueangle.errors import LinkError, NodeClash, NodeFault
+from trueangle.errors import LinkError, NodeClash, NodeFault, NodeSilent
 
 NMT_COB_ID, EMCY_BASE, HEARTBEAT_BASE = 0x000, 0x080, 0x700
 NMT_START, NMT_PRE_OPERATIONAL = 0x01, 0x80
@@ -70,6 +70,8 @@ class NodeSupervisor:
         """When the last heartbeat came, or began to be waited for."""
         self._heartbeats: HeartbeatWatch | None = None
         self._settings: EncoderSettings | None = None
+        self._silent = False
+        """It left service for silence, and has not answered since."""
         self._serving_since_s: float | None = None
         self._failures = 0
         self._reported: NodeReport | None = None
@@ -91,7 +93,7 @@ class NodeSupervisor:
             self._retry_now.set()
         else:
             self._bus_up.clear()
-            self._disturb(LinkError(f"bus down: {reason}"))
+            self._disturb(NodeSilent(f"bus down: {reason}"))
 
     def distrust(self, reason: str) -> None:
         """Something the node said may have been missed: take it out of service and identify it again."""
@@ -174,7 +176,7 @@ class NodeSupervisor:
                     await self._stir()
             now_s = time.monotonic()
             if limit_s is not None and now_s >= self._heartbeat_s + limit_s:
-                raise LinkError(f"no heartbeat for {limit_s:g} s")
+                raise NodeSilent(f"no heartbeat for {limit_s:g} s")
             for i, (polled, at_s) in enumerate(polls):
                 if now_s >= at_s and polled.period_ms is not None:
                     await self._poll(polled)
@@ -236,7 +238,10 @@ class NodeSupervisor:
         """End the present attempt. A node in service is out of it before this returns: its next frame may lie."""
         if self._disturbance is None:
             self._disturbance = error
+            if not isinstance(error, NodeSilent):
+                self._silent = False
             if self._serving_since_s is not None:
+                self._silent = isinstance(error, NodeSilent)
                 self._report(_state_after(error), str(error))
         self._stirred.set()
         self._sdo.interrupt()
@@ -289,6 +294,7 @@ class NodeSupervisor:
     def _take_out(self, error: LinkError | NodeFault) -> None:
         now_s = time.monotonic()
         if self._serving_since_s is not None:
+            self._silent = isinstance(error, NodeSilent)
             if now_s - self._serving_since_s > self._timing.stable_s:
                 self._failures = 0
             self._serving_since_s = None
@@ -296,7 +302,11 @@ class NodeSupervisor:
         self._report(_state_after(error), str(error))
 
     def _report(self, state: NodeState, reason: str = "") -> None:
-        report = NodeReport(state=state, settings=self._settings, reason=reason)
+        if state not in (NodeState.LOST, NodeState.IDENTIFYING):
+            self._silent = False
+        report = NodeReport(
+            state=state, settings=self._settings, reason=reason, silent=self._silent, head=self._plan.head
+        )
         if report != self._reported:
             self._reported = report
             self._log.tell(report, self._failures)

@@ -12,7 +12,7 @@ from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from trueangle.core.node_setup import Address, SdoWrite, shown
-from trueangle.errors import LinkError, NodeFault
+from trueangle.errors import LinkError, NodeFault, NodeSilent
 
 SDO_REPLY_BASE, SDO_REQUEST_BASE = 0x580, 0x600
 ABSENT_CODES = frozenset({0x06010000, 0x06010001, 0x06020000, 0x06090011, 0x060A0023, 0x08000024})
@@ -152,7 +152,7 @@ class SdoPort:
                 return None
             raise NodeFault(f"the node does not tell {shown(address)}: {abort}") from abort
         except SdoCommunicationError as error:
-            raise LinkError(f"SDO read of {shown(address)}: {error}") from error
+            raise _no_answer(f"SDO read of {shown(address)}", error) from error
 
     async def write(self, write: SdoWrite) -> None:
         """Download one value."""
@@ -162,7 +162,13 @@ class SdoPort:
         except SdoAbortedError as abort:
             raise NodeFault(f"the node refuses {write}: {abort}") from abort
         except SdoCommunicationError as error:
-            raise LinkError(f"SDO write of {write}: {error}") from error
+            raise _no_answer(f"SDO write of {write}", error) from error
 
     async def _call(self, transfer: Callable[..., T], *arguments: object) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._threads, transfer, *arguments)
+
+
+def _no_answer(what: str, error: SdoCommunicationError) -> LinkError:
+    """Silence, or an answer out of order: the library tells them apart by this text alone."""
+    silent = "No SDO response" in str(error)
+    return (NodeSilent if silent else LinkError)(f"{what}: {error}")
