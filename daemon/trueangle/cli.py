@@ -12,7 +12,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from trueangle.config import load_config
+from trueangle.config import DaemonConfig, load_config
 from trueangle.contract.errors import ContractError, TrueangleError
 from trueangle.contract.metadata import ModelMetadata
 from trueangle.core.metrics import render_metric_table
@@ -21,6 +21,7 @@ from trueangle.edges.journal import LogFormatter
 from trueangle.edges.onnx_model import load_model
 from trueangle.edges.systemd import ServiceNotifier, handed_over_sockets, is_journal
 from trueangle.service import Loaded, Service, load, state_directory
+from trueangle.service.modbus_side import TlsSettings, tls_settings, uses_credentials
 
 _RENDERERS = {"text": render_text, "markdown": render_markdown, "csv": render_csv}
 
@@ -95,12 +96,24 @@ async def _serve(path: Path, loaded: Loaded, notifier: ServiceNotifier) -> None:
         load_again=lambda: load(path),
         sockets=sockets,
         state_directory=state_directory(loaded.config, os.environ),
+        load_tls=lambda: _tls(loaded.config, path),
     ).run()
+
+
+def _tls(config: DaemonConfig, path: Path) -> TlsSettings | None:
+    credentials = os.environ.get("CREDENTIALS_DIRECTORY")
+    return tls_settings(
+        config.modbus, base=path.parent, credentials=Path(credentials) if credentials else None, source=str(path)
+    )
 
 
 def _check_config(options: argparse.Namespace) -> int:
     loaded = load(options.config)
     config, joints = loaded.config, loaded.joints
+    if uses_credentials(config.modbus) and "CREDENTIALS_DIRECTORY" not in os.environ:
+        _say(f"{options.config}: TLS keys come from systemd's credentials and are not checked here")
+    else:
+        _tls(config, options.config)
     _say(f"{options.config}: good; {len(config.buses)} bus(es), {len(joints)} joint(s)")
     for joint in joints:
         entry = joint.config

@@ -300,6 +300,24 @@ def test_every_command_is_reported_with_peer_and_role() -> None:
     assert ("confirm", 1, Result.DONE, "192.0.2.7", "setter") in told
 
 
+def test_a_plc_that_asks_in_every_cycle_does_not_fill_the_log() -> None:
+    desk = Desk()
+    desk.joints.change(1, velocity_deg_s=3.0)
+    for _ in range(100):
+        assert desk.ask(Command.ARM_PRESET) is Result.MOVING
+    desk.joints.change(1, velocity_deg_s=0.0)
+    desk.ask(Command.ARM_PRESET)
+    while desk.ask(Command.CONFIRM) is Result.TOO_EARLY:
+        desk.wait(1)
+    told = [(one.event, one.result) for one in desk.reports]
+    assert told == [
+        ("arm_preset", Result.MOVING),
+        ("arm_preset", Result.ARMED),
+        ("preset_stored", Result.DONE),
+        ("confirm", Result.DONE),
+    ]
+
+
 def test_the_block_shows_what_this_connection_wrote_armed_and_got() -> None:
     desk = Desk()
     assert desk.session.registers(desk.now_ns) == (0, 0, 0, 0, 0, 0, 0, 0)

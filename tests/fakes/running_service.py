@@ -197,6 +197,7 @@ async def started(
     caplog: pytest.LogCaptureFixture,
     environment: Mapping[str, str] | None = None,
     load_again: Callable[[], Loaded] | None = None,
+    state_directory: Path | None = None,
 ) -> AsyncIterator[Rig]:
     """The service as the command line would run it, listening; stopped in order at the end, no task left."""
     caplog.set_level("INFO")
@@ -204,7 +205,7 @@ async def started(
     parsed = parse_config(config, source="test.yaml")
     notifier = ServiceNotifier(environment or {})
     joints = load_joints(parsed, base=MODELS, source="test.yaml")
-    service = Service(parsed, joints, notifier, load_again=load_again)
+    service = Service(parsed, joints, notifier, load_again=load_again, state_directory=state_directory)
     task = asyncio.create_task(service.run())
     try:
         async with asyncio.timeout(LIMIT_S):

@@ -238,7 +238,10 @@ class CommandDesk:
         return CommandSession(self, peer)
 
     def execute(self, session: "CommandSession", number: int, slot: int, angle_mas: int, now_ns: int) -> Result:
-        """Do or refuse one command; every call is reported."""
+        """Do or refuse one command, and report it; a refusal that only repeats itself is reported once.
+
+        A PLC program asks in every cycle until it gets what it wants.
+        """
         if number not in tuple(Command):
             result, event = Result.UNKNOWN_COMMAND, f"command_{number}"
         else:
@@ -251,6 +254,10 @@ class CommandDesk:
                 result = Result.ANGLE_RANGE
             else:
                 result = self._do(session, command, slot, angle_mas, situation, now_ns)
+        refusal = None if result in GOOD_RESULTS else (event, slot, result)
+        if result is Result.TOO_EARLY or (refusal is not None and refusal == session.refusal):
+            return result
+        session.refusal = refusal
         self._report(CommandReport(event=event, slot=slot, result=result, peer=session.peer, angle_mas=angle_mas))
         return result
 
@@ -376,13 +383,15 @@ def _refusal(command: Command, situation: JointSituation) -> Result | None:
 class CommandSession:
     """The command block as one connection sees it: what it has written, armed, and got as result."""
 
-    __slots__ = ("_angle", "_count", "_desk", "_slot", "armed", "peer", "result")
+    __slots__ = ("_angle", "_count", "_desk", "_slot", "armed", "peer", "refusal", "result")
 
     def __init__(self, desk: CommandDesk, peer: Peer) -> None:
         self._desk = desk
         self.peer = peer
         self.armed: _Armed | None = None
         self.result = Result.NONE
+        self.refusal: tuple[str, int, Result] | None = None
+        """What was refused last; None after a command that was not."""
         self._slot = 0
         self._angle = 0
         """INT32 as its two registers hold it, unsigned."""

@@ -69,6 +69,18 @@ class JointChannel:
     calibration_due: datetime.date | None = None
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointReading:
+    """What was last read of one joint, for a person or a command. None: not known."""
+
+    valid: bool
+    raw_deg: float | None
+    corrected_deg: float | None
+    """By the model alone."""
+    temperature_c: float | None
+    velocity_deg_s: float | None
+
+
 class _Head:
     """One reading head at run time; that of most joints is their only one."""
 
@@ -318,10 +330,30 @@ class Pipeline:
         if joint.fusion is not None:
             joint.fusion.forget()
 
-    def set_user_zero(self, slot: int, zero_deg: float, now_ns: int) -> None:
-        """From now on this is taken off what is served, before it is reduced to one turn; 0 takes it back."""
-        self._joints[slot].served.user_zero_deg = zero_deg
+    def set_user_zero(self, slot: int, zero_deg: float | None, now_ns: int) -> None:
+        """From now on this is taken off what is served, before it is reduced to one turn; 0 takes it back.
+
+        None: nobody knows what the user's zero is; the joint is not referenced.
+        """
+        served = self._joints[slot].served
+        served.user_zero_deg = zero_deg or 0.0
+        served.user_zero_known = zero_deg is not None
         self._serve(now_ns)
+
+    def reading(self, slot: int) -> "JointReading":
+        """The last reading of this joint, before the user's zero and before latency compensation."""
+        joint = self._joints[slot]
+        raw_deg, correction = joint.angle.raw_deg, joint.correction
+        corrected_deg = None
+        if raw_deg is not None and correction is not None:
+            corrected_deg = correction.corrected_deg(raw_deg)
+        return JointReading(
+            valid=StatusBit.VALID in joint.status,
+            raw_deg=raw_deg,
+            corrected_deg=corrected_deg,
+            temperature_c=joint.sample.temperature_c,
+            velocity_deg_s=joint.angle.velocity_deg_s,
+        )
 
     def user_zero_deg(self, slot: int) -> float:
         """The user zero in force; 0: none."""
@@ -487,7 +519,7 @@ class Pipeline:
                 correction_arcsec=None if correction is None else correction.correction_arcsec,
                 uncertainty_arcsec=None if correction is None else correction.uncertainty_arcsec,
                 uncertainty_needed=fusion is not None and fusion.uncertainty_arcsec is None,
-                referenced=not alone or sample.position.referenced,
+                referenced=joint.served.user_zero_known and (not alone or sample.position.referenced),
                 jumped=alone and sample.position.jumped,
                 past_due=joint.past_due,
                 temperature_fault=bool(sample.temperature_status),

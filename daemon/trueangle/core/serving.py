@@ -79,12 +79,14 @@ class _Held:
 class ServedJoint:
     """Decides what is served of one joint; keeps the last good angle."""
 
-    __slots__ = ("_held", "policy", "user_zero_deg")
+    __slots__ = ("_held", "policy", "user_zero_deg", "user_zero_known")
 
     def __init__(self, policy: ServingPolicy, user_zero_deg: float) -> None:
         self.policy = policy
         self.user_zero_deg = user_zero_deg
         """Taken off what is served and never off the model's input."""
+        self.user_zero_known = True
+        """False: a zero is stored that belongs to another encoder or model."""
         self._held: _Held | None = None
 
     def drop_held(self) -> None:

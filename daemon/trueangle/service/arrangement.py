@@ -52,12 +52,17 @@ class Arrangement:
         *,
         publish: Callable[[RegisterImage], None],
         on_clash: Callable[[str, int, str], None],
+        on_accepted: Callable[[int, EncoderSettings], None] | None = None,
     ) -> None:
-        """`on_clash(bus, node_id, reason)` asks for a node to be identified anew."""
+        """`on_clash(bus, node_id, reason)` asks for a node to be identified anew.
+
+        `on_accepted(slot, settings)` is called when the encoder was read and fits, before it is served.
+        """
         self.config: DaemonConfig = loaded.config
         self.joints: Mapping[int, LoadedJoint] = {joint.config.slot: joint for joint in loaded.joints}
         self._plans = {bus.name: node_plans(self.config.joints, bus.name) for bus in self.config.buses}
         self._on_clash: Callable[[str, int, str], None] = on_clash
+        self._on_accepted = on_accepted
         self.pipeline = Pipeline(
             [joint_channel(joint) for joint in loaded.joints],
             RegisterMap([joint_identity(joint) for joint in loaded.joints]),
@@ -153,7 +158,10 @@ class Arrangement:
 
     def accept(self, slot: int, settings: EncoderSettings) -> list[str]:
         """Why this encoder must not be corrected with the joint's model; empty where it may."""
-        return encoder_differences(self.joints[slot], settings)
+        differences = encoder_differences(self.joints[slot], settings)
+        if not differences and self._on_accepted is not None:
+            self._on_accepted(slot, settings)
+        return differences
 
     def accept_head(self, slot: int, head: int, settings: EncoderSettings) -> list[str]:
         """The same for a further reading head of the joint."""

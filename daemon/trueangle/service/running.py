@@ -17,17 +17,20 @@ from socket import socket
 from types import TracebackType
 
 from trueangle.config import DaemonConfig
-from trueangle.contract.errors import ContractError
+from trueangle.contract.encoder import EncoderSettings
+from trueangle.contract.errors import ContractError, Fault
 from trueangle.core.health import ServiceBit
 from trueangle.core.metrics import CONTENT_TYPE, render_metrics
 from trueangle.core.registers import RegisterImage
 from trueangle.edges.metrics import MetricsServer
-from trueangle.edges.modbus_server import ModbusLimits, ModbusTcpServer
+from trueangle.edges.modbus_server import TlsSettings
 from trueangle.edges.systemd import ServiceNotifier
 from trueangle.service.arrangement import Arrangement
 from trueangle.service.bus_line import BusLine
+from trueangle.service.commanding import Commanding
 from trueangle.service.joints import Loaded, LoadedJoint
 from trueangle.service.measuring import service_samples
+from trueangle.service.modbus_side import ModbusSide
 from trueangle.service.reloading import ReloadRecord, restart_faults
 
 TICK_S = 0.01
@@ -52,27 +55,25 @@ class Service:
         load_again: Callable[[], Loaded] | None = None,
         sockets: Mapping[str, socket] | None = None,
         state_directory: Path | None = None,
+        load_tls: Callable[[], TlsSettings | None] = lambda: None,
     ) -> None:
         """`load_again` is called in a worker thread at each SIGHUP; ContractError refuses. None: no reload.
 
         `sockets`: already bound, by the names of the socket units. `state_directory`: where presets are kept;
-        None: nowhere.
+        None: nowhere. `load_tls` reads keys and certificates, now and at each reload. ContractError where presets
+        or certificates cannot be read.
         """
         self._notifier = notifier
         self._sockets = dict(sockets or {})
         self.state_directory = state_directory
-        modbus = config.modbus
-        self._server = ModbusTcpServer(
-            modbus.host,
-            modbus.port,
-            unit_id=modbus.unit_id,
-            limits=ModbusLimits(
-                connections=modbus.max_connections,
-                connections_per_address=modbus.max_connections_per_address,
-                idle_timeout_s=modbus.idle_timeout_s,
-                image_age_s=IMAGE_AGE_S,
-            ),
+        self._commanding: Commanding | None = None
+        self._load_tls = load_tls
+        self._renewed_tls: TlsSettings | None = None
+        self._server = ModbusSide(
+            config.modbus,
+            image_age_s=IMAGE_AGE_S,
             refresh=lambda: self._arrangement.pipeline.tick(time.monotonic_ns()),
+            tls=load_tls(),
             sockets=self._sockets,
         )
         self._arrangement = self._arranged(Loaded(config=config, joints=joints))
@@ -90,6 +91,14 @@ class Service:
         self._stopping = False
         self._wake = asyncio.Event()
         """A stop or a reload was asked for, or the loading has ended."""
+        if state_directory is not None:
+            self._commanding = Commanding(
+                state_directory, arrangement=lambda: self._arrangement, ask_again=self._on_clash
+            )
+            self._server.take_commands(self._commanding.desk)
+        elif config.modbus.commands:
+            expected = "a state_directory, where presets are kept"
+            raise ContractError([Fault(where="modbus.commands", expected=expected, found="none")])
 
     def stop(self) -> None:
         """Ask for an orderly stop."""
@@ -113,6 +122,8 @@ class Service:
         loop.add_signal_handler(signal.SIGHUP, self.reload)
         try:
             async with AsyncExitStack() as stack:
+                if self._commanding is not None:
+                    stack.push_async_callback(self._commanding.close)
                 await self._server.start()
                 self._close_unused()
                 stack.push_async_callback(self._server.close)
@@ -191,6 +202,8 @@ class Service:
 
     def _service_bits(self, now_ns: int) -> ServiceBit:
         bits = ServiceBit.RELOAD_REFUSED if self.reloads.refusal else ServiceBit(0)
+        if self._arrangement.config.modbus.commands:
+            bits |= ServiceBit.COMMANDS_ENABLED
         for line in self._lines.values():
             bits |= line.service_bits(now_ns)
         return bits
@@ -231,10 +244,15 @@ class Service:
         loaded = self._load_again()
         if faults := restart_faults(running, loaded.config):
             raise ContractError(faults)
+        self._renewed_tls = self._load_tls()
         return self._arranged(loaded)
 
     def _arranged(self, loaded: Loaded) -> Arrangement:
-        return Arrangement(loaded, publish=self._publish, on_clash=self._on_clash)
+        return Arrangement(loaded, publish=self._publish, on_clash=self._on_clash, on_accepted=self._on_accepted)
+
+    def _on_accepted(self, slot: int, settings: EncoderSettings) -> None:
+        if self._commanding is not None:
+            self._commanding.accepted(slot, settings)
 
     def _on_clash(self, bus: str, node_id: int, reason: str) -> None:
         if bus in self._lines:
@@ -263,6 +281,10 @@ class Service:
                 line.detach()
                 self._leaving.append(line)
         self._arrangement, self._lines = new, staying
+        if self._commanding is not None:
+            self._commanding.rearranged(kept.slots)
+        if self._renewed_tls is not None:
+            self._server.renew_tls(self._renewed_tls)
         new.pipeline.tick(time.monotonic_ns())
         _tell_unbound(joint for slot, joint in new.joints.items() if slot not in kept.slots)
         # One channel may be the old bus and the new one: closed first.

@@ -39,7 +39,8 @@ class ModbusRtuServer:
         self._config = config
         self._image = image
         self._identification = identification
-        self._desk = desk
+        self.desk = desk
+        """Taken up when the line is started."""
         self._commands = commands
         self._descriptor: int | None = None
         self._timer: asyncio.TimerHandle | None = None
@@ -62,6 +63,7 @@ class ModbusRtuServer:
     def start(self) -> None:
         """Open the line, now or as soon as the device is there: an adapter may be plugged in later."""
         self._running = True
+        self._stream = self._new_stream()
         self._open()
 
     def close(self) -> None:
@@ -75,7 +77,7 @@ class ModbusRtuServer:
     def _new_stream(self) -> ModbusRtuStream:
         config = self._config
         peer = Peer(address=config.device, may_command=self._commands)
-        session = self._desk.session(peer) if self._desk is not None and self._commands else None
+        session = self.desk.session(peer) if self.desk is not None and self._commands else None
         self._responder = PduResponder(self._identification, peer=peer, session=session)
         longer_ns = None if config.silence_ms is None else round(config.silence_ms * 1e6)
         return ModbusRtuStream(

@@ -42,6 +42,11 @@ class TlsSettings:
         )
 
 
+def is_credential(text: str) -> bool:
+    """Whether this file is handed over by systemd (LoadCredential=)."""
+    return text.startswith(_CREDENTIAL)
+
+
 def load_tls(config: TlsConfig, *, base: Path, credentials: Path | None, source: str) -> TlsSettings:
     """Read key and certificates; ContractError with every file that cannot be used.
 
@@ -52,7 +57,7 @@ def load_tls(config: TlsConfig, *, base: Path, credentials: Path | None, source:
     for key in ("certificate", "private_key", "client_ca"):
         where = f"{source}, modbus.tls.{key}"
         text: str = getattr(config, key)
-        if not text.startswith(_CREDENTIAL):
+        if not is_credential(text):
             paths[key] = base / text
         elif credentials is None:
             faults.append(
