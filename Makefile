@@ -81,3 +81,8 @@ peers: $(SETUP)
 	command -v mvn > /dev/null && (cd build/peers/j2mod && \
 		mvn -q -B compile dependency:copy-dependencies -DoutputDirectory=target/lib) || true
 	$(VENV)/bin/python -m pytest -rs tests/system/test_peers.py
+
+# An hour of mixed load: SOAK_S=600 make soak takes ten minutes. Exit status 1: memory or descriptors rise.
+.PHONY: soak
+soak: $(SETUP)
+	$(VENV)/bin/python -m tests.soak
