@@ -20,8 +20,10 @@ FAULTS: dict[str, tuple[str, ...]] = {
         "daemon/test_running_service.py::test_a_node_that_comes_back_as_another_encoder_is_not_corrected",
     ),
     "preset, code sequence or scaling changed behind our back": (
-        "daemon/test_running_service.py::"
-        "test_an_encoder_that_another_tool_sets_while_it_runs_is_noticed_and_no_longer_corrected",
+        (
+            "daemon/test_running_service.py::"
+            "test_an_encoder_that_another_tool_sets_while_it_runs_is_noticed_and_no_longer_corrected"
+        ),
         "daemon/test_can_master_modes.py::test_write_of_another_master_takes_the_node_out_before_its_next_frame",
     ),
     "right model on the wrong joint": (
@@ -29,8 +31,10 @@ FAULTS: dict[str, tuple[str, ...]] = {
         "daemon/test_service.py::test_one_model_on_two_joints_is_a_fault",
     ),
     "duplicate id": (
-        "daemon/test_running_faults.py::"
-        "test_second_unit_with_the_same_node_id_takes_the_joint_out_until_it_is_gone",
+        (
+            "daemon/test_running_faults.py::"
+            "test_second_unit_with_the_same_node_id_takes_the_joint_out_until_it_is_gone"
+        ),
     ),
     "wrong mapping": (
         "daemon/test_running_service.py::test_a_node_that_keeps_its_old_mapping_is_a_fault_and_never_served",
@@ -58,13 +62,17 @@ FAULTS: dict[str, tuple[str, ...]] = {
     ),
     "temperature broken": (
         "daemon/test_running_service.py::test_temperature_outside_of_model_or_sensor_is_not_corrected",
-        "daemon/test_pipeline.py::"
-        "test_no_correction_for_a_broken_temperature_is_served_once_the_sensor_is_good_again",
+        (
+            "daemon/test_pipeline.py::"
+            "test_no_correction_for_a_broken_temperature_is_served_once_the_sensor_is_good_again"
+        ),
     ),
     "temperature frozen": (
         "daemon/test_temperature_watch.py::test_a_value_that_never_changes_is_frozen_and_one_that_moves_a_bit_is_not",
     ),
-    "temperature jumping": ("daemon/test_serving_policy.py::test_a_temperature_that_jumps_is_a_reason_of_its_own",),
+    "temperature jumping": (
+        "daemon/test_serving_policy.py::test_a_temperature_that_jumps_is_a_reason_of_its_own",
+    ),
     "SYNC lost": ("daemon/test_pipeline.py::test_silence_on_the_whole_bus_is_marked_by_the_tick",),
     "bus flooded": (
         "daemon/test_running_faults.py::test_foreign_traffic_disturbs_nothing",
@@ -78,8 +86,10 @@ FAULTS: dict[str, tuple[str, ...]] = {
         "daemon/test_reload.py::test_what_is_refused_leaves_all_as_it_was_and_says_why_until_a_good_one_comes",
     ),
     "300 connections": (
-        "daemon/test_modbus_limits.py::"
-        "test_three_hundred_connections_are_held_to_the_limit_and_the_first_are_served",
+        (
+            "daemon/test_modbus_limits.py::"
+            "test_three_hundred_connections_are_held_to_the_limit_and_the_first_are_served"
+        ),
         "daemon/test_hostile_clients.py::test_no_crowd_of_clients_takes_a_joint_or_a_good_client_down",
     ),
     "slow readers": (

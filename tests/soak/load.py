@@ -1,6 +1,6 @@
 """Six joints behind a socketcand, eight clients that read on, others that come and go, reloads, nodes that reboot.
 
-The daemon is a process of its own, so its memory and descriptors are its own. Every answer that any client reads is
+The daemon is a process of its own, so its memory and descriptors are its own. Every answer that a client reads is
 held to the rule that a corrected angle is served exactly with VALID.
 """
 
@@ -89,7 +89,7 @@ async def soak(seconds: float, folder: Path, rng: random.Random) -> Account:
         try:
             port = await log.port()
             async with asyncio.timeout(PATIENCE_S):
-                while not log.count("event=joint_valid"):
+                while not log.count("event=joint_valid"):  # noqa: ASYNC110 - the log is another process
                     await asyncio.sleep(0.05)
             await _loaded(seconds, account, process, port, nodes, path, bus.port, rng)
             account.reloads = log.count("event=reloaded")
