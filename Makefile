@@ -70,3 +70,19 @@ clean:
 .PHONY: fuzz
 fuzz: $(SETUP)
 	$(VENV)/bin/python -m tests.fuzz
+
+# Modbus clients of other makers as readers; installs what they need under build/peers, from lock files with hashes.
+.PHONY: peers
+peers: $(SETUP)
+	mkdir -p build
+	cp -r tests/peers build/
+	command -v npm > /dev/null && for peer in jsmodbus modbus_serial; do \
+		(cd build/peers/$$peer && npm ci --ignore-scripts --no-audit --no-fund) || exit 1; done || true
+	command -v mvn > /dev/null && (cd build/peers/j2mod && \
+		mvn -q -B compile dependency:copy-dependencies -DoutputDirectory=target/lib) || true
+	$(VENV)/bin/python -m pytest -rs tests/system/test_peers.py
+
+# An hour of mixed load: SOAK_S=600 make soak takes ten minutes. Exit status 1: memory or descriptors rise.
+.PHONY: soak
+soak: $(SETUP)
+	$(VENV)/bin/python -m tests.soak

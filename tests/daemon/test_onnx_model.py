@@ -124,3 +124,9 @@ def test_the_runtime_s_telemetry_is_off_before_it_is_imported() -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True
     )
     assert done.stdout.strip() == "1"
+
+
+@pytest.mark.parametrize("name", ["a\0b.onnx", "a\ud800b.onnx"])
+def test_a_name_that_no_file_can_have_is_a_fault_like_any_other(name: str) -> None:
+    with pytest.raises(ContractError, match="expected a readable model file"):
+        load_model(Path(name))

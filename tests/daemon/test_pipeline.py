@@ -263,6 +263,24 @@ def test_a_sync_that_a_node_missed_makes_its_samples_look_old_and_never_young_un
     assert bench.fast(1)["age"] == 1
 
 
+def test_a_number_that_jumped_makes_no_later_frame_younger_than_its_arrival() -> None:
+    """Its distance from the SYNCs is then too small: every frame seems to answer the latest SYNC."""
+    bench = Bench()
+    bench.bring_into_service()
+    for sequence in range(1, 6):
+        bench.feed(bench.temperature(1, 20.0))
+        bench.cycle(sequence)
+    bench.feed(bench.position(1, 90.0, 1_000))
+    late = [bench.position(1, 90.0, 1_001)]
+    for _ in range(12):  # the link stalls for 60 ms, SYNC goes out all the same
+        bench.now_ns += 5 * MS
+        bench.pipeline.on_sync("arm", bench.now_ns)
+    bench.feed(*late)
+    bench.pipeline.tick(bench.now_ns)
+    assert bench.fast(1)["age"] >= 60
+    assert StatusBit.STALE in bench.status(1)
+
+
 def test_an_old_frame_that_comes_again_is_never_served() -> None:
     bench = running()
     old = bench.position(1, 10.0, 1)

@@ -11,14 +11,14 @@ NOISE_MIB = 3.0
 """The allocator's own steps: arenas of 1 MiB come and go."""
 
 
-def resident_mib() -> float:
-    """Resident set size now."""
-    return int(Path("/proc/self/statm").read_text("ascii").split()[1]) * _PAGE_BYTES / 2**20
+def resident_mib(process: int | str = "self") -> float:
+    """Resident set size of this or another process now."""
+    return int(Path(f"/proc/{process}/statm").read_text("ascii").split()[1]) * _PAGE_BYTES / 2**20
 
 
-def open_descriptors() -> int:
-    """File descriptors of this process; the one that counts them is not counted."""
-    return sum(1 for _ in Path("/proc/self/fd").iterdir()) - 1
+def open_descriptors(process: int | str = "self") -> int:
+    """File descriptors of this or another process."""
+    return sum(1 for _ in Path(f"/proc/{process}/fd").iterdir())
 
 
 class MemoryTrack:

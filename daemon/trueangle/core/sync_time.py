@@ -61,4 +61,5 @@ class SampleTime:
             self._before, self._now, self._window_start_ns = self._now, distance, received_ns
         self._now = min(self._now, distance)
         nearest = self._now if self._before is None else min(self._now, self._before)
-        return history.stamp_ns(sample_number + nearest)
+        # No sample is younger than its frame: a number that jumped makes the distance too small.
+        return min(received_ns, history.stamp_ns(sample_number + nearest))

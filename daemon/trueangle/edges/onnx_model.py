@@ -87,8 +87,10 @@ def _read(path: Path) -> bytes:
     try:
         with path.open("rb") as file:
             data = file.read(MAX_MODEL_BYTES + 1)
-    except OSError as error:
-        raise _refusal(str(path), "a readable model file", error.strerror or str(error)) from error
+    except (OSError, ValueError) as error:
+        # ValueError: a name that no file can have, with a NUL or half a surrogate in it.
+        found = getattr(error, "strerror", None) or str(error)
+        raise _refusal(str(path), "a readable model file", found) from error
     if len(data) > MAX_MODEL_BYTES:
         raise _refusal(str(path), f"at most {MAX_MODEL_BYTES} bytes", "a larger file")
     if not data:
