@@ -16,7 +16,7 @@ from trueangle_training.diagnosis.problem import Problem
 Floats = NDArray[np.float64]
 
 CURVE_ERROR = 0.1
-"""RMS of what a shape of the library is off by over the RMS of the whole curve: time constants, courses of heat."""
+"""RMS of what a shape of the library is off by (time constants, courses of heat) over that of the whole curve."""
 
 
 def within_curve_error(

@@ -6,7 +6,8 @@ left out, and its standard deviation s
 
     B = p(d | one pattern) / p(d | two effects) = pi N(d; 0, s),
 
-N wrapped to a period of pi, and two effects have the probability 1 / (1 + q B) for q : 1 for one pattern beforehand.
+N wrapped to a period of pi, and two effects have the probability 1 / (1 + q B), with odds of q : 1 for one pattern
+beforehand.
 """
 
 from itertools import combinations
@@ -23,7 +24,7 @@ from trueangle_training.effects.effect import Nature
 Floats = NDArray[np.float64]
 
 ONE_PATTERN_ODDS = 0.5
-"""Of one pattern with a course outside the library against two effects of one order, before the phases are seen."""
+"""Of one pattern with a course of its own against two effects of one order, before the phases are seen."""
 PHASE_ERROR = 0.05
 """Radians by which the parts of one pattern differ because no shape is exact."""
 _WRAPS = np.pi * np.arange(-2, 3)
