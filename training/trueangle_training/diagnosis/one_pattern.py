@@ -25,6 +25,8 @@ Floats = NDArray[np.float64]
 
 ONE_PATTERN_ODDS = 0.5
 """Of one pattern with a course of its own against two effects of one order, before the phases are seen."""
+MOST_OF_PATTERN = 0.8
+"""Of what is lost without either name."""
 PHASE_ERROR = 0.05
 """Radians by which the parts of one pattern differ because no shape is exact."""
 _WRAPS = np.pi * np.arange(-2, 3)
@@ -33,7 +35,8 @@ _WRAPS = np.pi * np.arange(-2, 3)
 def kept_of_names(problem: Problem, attribution: Attribution, spans: Spans) -> dict[str, float]:
     """By name, the factor on its probability that such a pattern leaves; names without doubt are left out.
 
-    A name that could carry all of the pattern is the answer to it: only the other one is doubted.
+    A name that could carry all of the pattern, or is by far the larger part of it, is the answer to it: only the
+    other one is doubted, which then is what the first one's shape is off by.
     """
     kept: dict[str, float] = {}
     for one, other in combinations(attribution.members, 2):
@@ -41,7 +44,8 @@ def kept_of_names(problem: Problem, attribution: Attribution, spans: Spans) -> d
             continue
         both = 1.0 / (1.0 + ONE_PATTERN_ODDS * in_phase(one, other))
         for member in (one, other):
-            if _carries(problem, spans, member, one.curve_arcsec + other.curve_arcsec):
+            most = member.share >= MOST_OF_PATTERN * (one.share + other.share)
+            if most or _carries(problem, spans, member, one.curve_arcsec + other.curve_arcsec):
                 continue
             name = str(member.effect)
             kept[name] = min(kept.get(name, 1.0), both)
