@@ -171,7 +171,9 @@ def test_what_a_bent_shape_leaves_over_is_no_growing_noise() -> None:
         # A tenth of the curve is of another order in each run: like noise, and the larger the warmer it is.
         own = np.random.default_rng(3).uniform(0, 2 * np.pi, (2, 1000))[:, run]
         rest = np.cos(7 * theta + own[0]) + np.cos(9 * theta + own[1])
-        return 0.4 * (t - 10) * (np.cos(4 * theta) + 0.06 * rest)
+        # In quadrature: in phase, the steady part and the one that grows would be one pattern.
+        steady, growing = 10 * np.sin(4 * theta), (t - 20) * np.cos(4 * theta)
+        return 0.4 * (steady + growing + 0.06 * (t - 10) * rest)
 
     problem = _problem(58, bent)
     attribution = attribute(problem)
