@@ -116,12 +116,64 @@ def test_a_drift_that_the_library_lacks_is_not_laid_to_a_lag_or_a_bend(
     assert withheld in {cause.effect for cause in _verdict(problem_of(made, joint)).named}
 
 
+def _squared(theta: Floats, t: Floats, run: NDArray[np.int64]) -> Floats:
+    """Instead of the campaign's own straight drift."""
+    return 0.004 * (t - 20) ** 2 * np.cos(theta - 0.5) - 0.1 * (t - 20) * np.sin(theta)
+
+
+def _lost(theta: Floats, t: Floats, run: NDArray[np.int64]) -> Floats:
+    return 2.5 * ((run == 9) & (theta > 2.0))
+
+
+def _over_faces(theta: Floats, t: Floats, run: NDArray[np.int64]) -> Floats:
+    """Instead of the campaign's own tilt."""
+    of_faces = np.random.default_rng(7).normal(0.0, 1.0, 23)
+    return of_faces[np.rint(theta * 23 / (2 * np.pi)).astype(int)] - 3.0 * np.cos(2 * theta)
+
+
+ALL_LISTED = ("eccentricity", "grating_tilt", "thermal_eccentricity")
+
+
+@pytest.mark.parametrize(
+    ("pattern", "withheld", "listed", "place"),
+    [
+        (
+            _squared,
+            "thermal_nonlinearity",
+            ("eccentricity", "grating_tilt"),
+            Cell(order="1", temperature="quadratic"),
+        ),
+        (_lost, "count_loss", ALL_LISTED, Cell(order="0", time="within_run")),
+        (
+            _over_faces,
+            "reference_artefact",
+            ("eccentricity", "thermal_eccentricity"),
+            Cell(order="1", frame="polygon"),
+        ),
+    ],
+)
+def test_a_withheld_effect_is_not_pieced_together_from_the_names_that_are_left(
+    pattern: gap_campaigns.Pattern, withheld: str, listed: tuple[str, ...], place: Cell
+) -> None:
+    without = {name: effect for name, effect in EFFECTS.items() if name != withheld}
+    joint = gap_campaigns.joint({name: {} for name in listed})
+    made = gap_campaigns.campaign(61, pattern, temperatures_c=RISING_C)
+    missing = _verdict(problem_of(made, joint, library=without))
+    assert missing.named == ()
+    assert place in missing.unexplained.cells
+    assert withheld in {name for cause in _verdict(problem_of(made, joint)).named for name in cause.effect_class}
+    nothing = gap_campaigns.campaign(62, temperatures_c=RISING_C)
+    assert _verdict(problem_of(nothing, gap_campaigns.joint(), library=without)).kind is VerdictKind.NONE
+
+
 def test_what_a_bent_shape_leaves_over_is_no_growing_noise() -> None:
     def bent(theta: Floats, t: Floats, run: NDArray[np.int64]) -> Floats:
         # A tenth of the curve is of another order in each run: like noise, and the larger the warmer it is.
         own = np.random.default_rng(3).uniform(0, 2 * np.pi, (2, 1000))[:, run]
         rest = np.cos(7 * theta + own[0]) + np.cos(9 * theta + own[1])
-        return 0.4 * (t - 10) * (np.cos(4 * theta) + 0.06 * rest)
+        # In quadrature: in phase, the steady part and the one that grows would be one pattern.
+        steady, growing = 10 * np.sin(4 * theta), (t - 20) * np.cos(4 * theta)
+        return 0.4 * (steady + growing + 0.06 * (t - 10) * rest)
 
     problem = _problem(58, bent)
     attribution = attribute(problem)

@@ -352,6 +352,18 @@ def metadata(case: Case) -> list[float]:
     ]
 
 
+def test_a_sound_joint_may_have_and_list_fewer_effects() -> None:
+    wish = Wish(seed=1003, plan="paper", stratum="noise", unlisted=("eccentricity", "thermal_tilt"))
+    full, short = sound_case(1003), draw_case(wish)
+    assert "eccentricity" in full.truth.listed
+    assert not {"eccentricity", "thermal_tilt"} & set(short.truth.listed)
+    assert short.truth.expected == "none"
+    assert not short.truth.effects
+    # The largest harmonic of this joint is gone, not only unlisted.
+    errors = [read_campaign(case.measured_csv.encode(), source="").error_arcsec for case in (full, short)]
+    assert np.std(errors[1]) < np.std(errors[0])
+
+
 def test_the_files_shape_does_not_tell_whether_something_is_wrong() -> None:
     names = ["thermal_tilt", "count_loss", "windup", "noise_growth", "reference_artefact", "thermal_lag"]
     sound = np.array([metadata(sound_case(1000 + i)) for i in range(32)])

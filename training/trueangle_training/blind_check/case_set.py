@@ -95,14 +95,22 @@ def wishes(sizes: Sizes, *, plan: PlanChoice, plants: Sequence[str], seed: int) 
         parts = [(plan, sizes)]
     # Sets that differ in anything share no case: one that was seen must not come back under another number.
     root = f"{seed}/{plan}/{''.join(plants)}/{sizes.total}"
-    found = [
-        wish
-        for name, part in parts
-        for make in (_healthy, _single, _pairs, _unknown, _broken)
-        for wish in make(_Draw(plan=name, plants=tuple(plants), root=root, both=plan == "both"), part)
-    ]
+    found: list[Wish] = []
+    for name, part in parts:
+        draw = _Draw(plan=name, plants=tuple(plants), root=root, both=plan == "both")
+        lacking = [wish for make in (_single, _pairs) for wish in make(draw, part)]
+        others = [wish for make in (_healthy, _unknown, _broken) for wish in make(draw, part)]
+        found += [*lacking, *_listing_no_more(draw, others, lacking)]
     order = np.random.default_rng([seed, 1]).permutation(len(found))
     return [found[i] for i in order]
+
+
+def _listing_no_more(draw: "_Draw", others: Sequence[Wish], lacking: Sequence[Wish]) -> Iterator[Wish]:
+    """The others with JOINT.yaml as short as where an effect of the library is what the simulator lacks."""
+    rng = draw.rng("unlisted")
+    for wish in others:
+        same = [each.names for each in lacking if each.plant == wish.plant and NEVER_NAMED not in each.names]
+        yield replace(wish, unlisted=same[int(rng.integers(len(same)))]) if same else wish
 
 
 def withheld_wishes(effect: str, cases: int, *, plan: PlanChoice, plants: Sequence[str], seed: int) -> list[Wish]:
@@ -129,9 +137,10 @@ def withheld_wishes(effect: str, cases: int, *, plan: PlanChoice, plants: Sequen
         key, plant = f"beside/{i}", draw.plants[i % len(draw.plants)]
         if i % 2:
             name = _one_of(others, draw.rng(key), [each for each in others if plant in draw.makers_of(each)])
-            found.append(draw.wish(key, plant=plant, stratum="single", names=(name,), enr=2.0))
+            beside = draw.wish(key, plant=plant, stratum="single", names=(name,), enr=2.0)
         else:
-            found.append(draw.wish(key, plant=plant, stratum="noise"))
+            beside = draw.wish(key, plant=plant, stratum="noise")
+        found.append(replace(beside, unlisted=(effect,)))
     return found
 
 

@@ -77,16 +77,20 @@ def look_of(result: Json) -> Json:
         "diagnosis_sha256": result["diagnosis_sha256"],
         "on": result["on"],
         "quick": conditions["quick"],
-        "figures": {
-            row["name"]: {
-                "value": _rounded(row["value"]),
-                "hits": row["hits"],
-                "cases": row["cases"],
-                "at_most": row["at_most"],
-            }
-            for row in result["figures"]
-            if row["value"] is not None
+        "figures": {row["name"]: _figure(row) for row in result["figures"] if row["value"] is not None},
+        "by_plant": {
+            plant: {row["name"]: _figure(row) for row in rows if row["value"] is not None}
+            for plant, rows in result.get("by_plant", {}).items()
         },
+    }
+
+
+def _figure(row: Json) -> Json:
+    return {
+        "value": _rounded(row["value"]),
+        "hits": row["hits"],
+        "cases": row["cases"],
+        "at_most": row["at_most"],
     }
 
 

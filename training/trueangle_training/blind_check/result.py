@@ -23,8 +23,8 @@ from trueangle_training.blind_check.intervals import exact_binomial
 
 Json = dict[str, Any]
 
-IN_FAMILY = "A"
-"""The plant that the diagnosis was developed on; the others are blind."""
+IN_FAMILY = ("A", "B")
+"""Plants that the diagnosis was improved on; the others are blind."""
 SHOWN_CASES = 30
 """Worst ones, and as many by chance: these have full reports."""
 WEIGHTS = {
@@ -59,8 +59,8 @@ def figures_of(records: Sequence[Json], *, family: tuple[int, int] | None = None
     judged = [record for record in records if "verdict" in record]
     plants = sorted({record["plant"] for record in judged})
     plans = sorted({record["plan"] for record in judged})
-    own = told(r for r in judged if r["plant"] == IN_FAMILY)
-    others = told(r for r in judged if r["plant"] != IN_FAMILY)
+    own = told(r for r in judged if r["plant"] in IN_FAMILY)
+    others = told(r for r in judged if r["plant"] not in IN_FAMILY)
     return {
         "figures": _plain([*table(judged), inflation(family or own, others)]),
         "by_plan": {each: _plain(table(plan(judged, each))) for each in plans},

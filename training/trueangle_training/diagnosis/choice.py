@@ -10,6 +10,7 @@ from trueangle_training.diagnosis.evidence import Accepted, Evidence, fit, joint
 from trueangle_training.diagnosis.problem import Problem
 from trueangle_training.diagnosis.random_draws import are_no_draws
 from trueangle_training.diagnosis.selection import NEAR_NATS, Families, Selection, select
+from trueangle_training.effects.effect import Nature
 
 NAMED_IN_SPITE_OF_GENERIC = 0.20
 """Share of generic patterns up to which names stand as they are."""
@@ -46,7 +47,8 @@ def chosen(problem: Problem, evidence: Evidence, families: Families) -> tuple[Se
     few = 0 < len(effects) <= MOST_NAMES_WITHOUT_GENERIC
     undrawn = select(evidence, families, ~evidence.drawn) if drawn else selection
     nearly_all = few and left_to(evidence, families, named, wide) < LEFT_TO_GENERIC
-    if nearly_all and not _plainly_better(evidence, families, undrawn, named):
+    several = len(effects) > 1 and _is_one_pattern(problem, evidence, families, undrawn, named)
+    if nearly_all and not several and not _plainly_better(evidence, families, undrawn, named):
         return named, Way.BY_NAMED_SHARE
     if any(_is_orderly(problem, evidence, selection, each) for each in selection.accepted):
         return undrawn, Way.WITHOUT_DRAWS
@@ -76,6 +78,21 @@ def _plainly_better(evidence: Evidence, families: Families, selection: Selection
         if len(named.accepted) > 1 or carried < CARRIED * energy:
             return True
     return False
+
+
+def _is_one_pattern(
+    problem: Problem, evidence: Evidence, families: Families, selection: Selection, named: Selection
+) -> bool:
+    """Whether several names stand for what is one generic pattern with a curve of its own, and no less likely.
+
+    Sums of patterns that are constant over the faces are such: nobody can tell which two a pattern is the sum of.
+    """
+    if len(selection.accepted) != 1:
+        return False
+    pattern = problem.hypotheses[evidence.hypothesis[selection.accepted[0].block]]
+    if pattern.effect is not None or pattern.nature is not Nature.MEAN:
+        return False
+    return _judged(evidence, families, selection) >= _judged(evidence, families, named) - NEAR_NATS
 
 
 def _judged(evidence: Evidence, families: Families, selection: Selection) -> float:

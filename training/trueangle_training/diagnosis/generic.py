@@ -27,6 +27,8 @@ FEW_RUNS = 25
 """Up to this many runs the finer grids of patterns with a draw in each run are searched."""
 PERIODS_IN_CAMPAIGN = (2.0, 3.0, 4.5, 7.0, 10.0, 15.0)
 PERIODS_IN_RUN = (0.7, 1.0, 1.5, 2.3, 3.5, 5.3)
+STEPS_IN_RUN = 24
+"""Places of a run where a step is tried."""
 ODD_RUN_FAMILY = "one odd run"
 
 
@@ -63,9 +65,13 @@ def generic_hypotheses(conditions: Conditions, library: Mapping[str, LibraryEffe
     )
     for pattern in (
         *_plain(axes, conditions, taken),
+        *_line_orders_together(axes, conditions, library),
         *_bent_in_temperature(axes),
+        *_squared_in_temperature(axes, conditions, library),
         *_crossed(axes),
+        *_warming_with_speed(axes, taken),
         *_drawn_by_run(axes, library),
+        *_steps_in_runs(axes, library),
         *_in_time(axes),
         *_at_places(axes, conditions, library),
     ):
@@ -153,6 +159,22 @@ def _plain(axes: Axes, conditions: Conditions, taken: frozenset[Cell]) -> Iterat
             )
 
 
+def _line_orders_together(
+    axes: Axes, conditions: Conditions, library: Mapping[str, LibraryEffect]
+) -> Iterator[Hypothesis]:
+    """Signals are seldom wrong in one way only: one multiple of the lines leaves the rest to any wide pattern."""
+    if "subdivision_error" in library:
+        return
+    for multiples in ((1, 2), (1, 2, 4)):
+        waves = [axes.cosine_sine(float(each * conditions.lines_per_rev)) for each in multiples]
+        yield _pattern(
+            f"{len(multiples)} multiples of the lines",
+            Cell(order="N"),
+            np.column_stack(waves),
+            family="line orders",
+        )
+
+
 def _bent_in_temperature(axes: Axes) -> Iterator[Hypothesis]:
     """Not a straight line in temperature: a kink, a step, a curve, a phase that wanders."""
     x, level = axes.temperature, axes.temperature_level
@@ -184,6 +206,22 @@ def _bent_in_temperature(axes: Axes) -> Iterator[Hypothesis]:
             yield _pattern(
                 f"order {order}, free at each temperature", cell, _times(free, waves), family="an order free in T"
             )
+
+
+def _squared_in_temperature(
+    axes: Axes, conditions: Conditions, library: Mapping[str, LibraryEffect]
+) -> Iterator[Hypothesis]:
+    """A parabola about the temperature at which drift vanishes: beside a straight line others are blind."""
+    if axes.temperature is None or conditions.temperature_c is None or "thermal_nonlinearity" in library:
+        return
+    squared = ((conditions.temperature_c - conditions.base_temperature_c) ** 2)[:, None]
+    for order in range(HIGHEST_ORDER + 1):
+        yield _pattern(
+            f"order {order}, squared in temperature",
+            Cell(order=str(order), temperature="quadratic"),
+            _times(squared, axes.cosine_sine(order)),
+            family="an order squared in temperature",
+        )
 
 
 def _level_edges(x: Floats, level: NDArray[np.int64]) -> list[float]:
@@ -221,6 +259,22 @@ def _crossed(axes: Axes) -> Iterator[Hypothesis]:
             )
             columns = _times(product[:, None], axes.cosine_sine(order))
             yield _pattern(f"order {order}, {label}", placed, columns, family=label)
+
+
+def _warming_with_speed(axes: Axes, taken: frozenset[Cell]) -> Iterator[Hypothesis]:
+    """What builds up within the run, the more the faster it turns."""
+    if axes.speed is None:
+        return
+    rising = axes.speed[:, None] * np.column_stack([np.ones_like(axes.within_run), axes.within_run])
+    for order in (0, 1, 2):
+        cell = Cell(order=str(order), time="within_run", speed="linear")
+        if cell not in taken:
+            yield _pattern(
+                f"order {order}, building up within the run with speed",
+                cell,
+                _times(rising, axes.cosine_sine(order)),
+                family="building up within the run with speed",
+            )
 
 
 def _drawn_by_run(axes: Axes, library: Mapping[str, LibraryEffect]) -> Iterator[Hypothesis]:
@@ -264,6 +318,24 @@ def _drawn_by_run(axes: Axes, library: Mapping[str, LibraryEffect]) -> Iterator[
                 Cell(order=str(order), time="between_runs"),
                 _times(later, axes.cosine_sine(order)),
                 family="an order stepping between runs",
+            )
+
+
+def _steps_in_runs(axes: Axes, library: Mapping[str, LibraryEffect]) -> Iterator[Hypothesis]:
+    """All that comes after some reading of one run is shifted."""
+    if "count_loss" in library or not 2 <= axes.runs <= FEW_RUNS:
+        return
+    for run in range(axes.runs):
+        here = axes.run_index == run
+        order = np.sort(axes.within_run[here])
+        places = np.linspace(0, order.size - 1, min(order.size, STEPS_IN_RUN) + 1)[1:-1]
+        for edge in np.unique(order[np.rint(places).astype(np.int64)]):
+            yield _pattern(
+                f"step in run {run}",
+                Cell(order="0", time="within_run"),
+                (here & (axes.within_run >= edge)).astype(np.float64)[:, None],
+                family="a step in a run",
+                nature=Nature.EVENT,
             )
 
 

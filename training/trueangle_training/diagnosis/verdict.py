@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from trueangle.contract.units import ARCSEC_PER_DEG, DEG_PER_TURN
 from trueangle_training.diagnosis.attribution import Attribution, Candidate, Member
 from trueangle_training.diagnosis.confidence import Grounds, class_probability
+from trueangle_training.diagnosis.curve_error import within_curve_error
 from trueangle_training.diagnosis.design_check import CARRIED, Design
+from trueangle_training.diagnosis.one_pattern import kept_of_names
 from trueangle_training.diagnosis.parameters import Estimate, estimates
 from trueangle_training.diagnosis.problem import Problem
 from trueangle_training.diagnosis.scatter import Growth, coarser_ratio, loud_run, noise_growth
@@ -36,6 +38,8 @@ GROWTH_BESIDE_OTHERS_P = 0.0005
 ABOVE_ROUNDING = 1.5
 BESIDE_ROUNDING = 0.5
 """Highest probability of a cause whose curve is no larger than that of a resolution found too coarse."""
+BESIDE_CURVE_ERROR = 0.5
+"""Highest probability of a cause no larger than what the leading one's shape may be off by."""
 LOUD_CELL = Cell(order="0", time="between_runs", moment="variance")
 """Of a run that scatters beyond all others, in no pattern that the library or a generic one has."""
 GROWTH_CELLS = {
@@ -116,7 +120,12 @@ class Verdict:
 
 def verdict_of(problem: Problem, attribution: Attribution, design: Design) -> Verdict:
     """Judge an attribution."""
-    causes = [_cause(problem, attribution, design, name) for name in _effects(attribution)]
+    kept = kept_of_names(problem, attribution, design.spans)
+    causes = [
+        _less_probable(_cause(problem, attribution, design, name), kept.get(name, 1.0))
+        for name in _effects(attribution)
+    ]
+    causes = [_beside_leading(problem, attribution, design, causes[0], cause) for cause in causes]
     generic = [member for member in attribution.members if member.effect is None]
     # What the simulator models of the scatter is not looked for again.
     growth = None if "noise_growth" in problem.joint.effects else _growth(problem, attribution)
@@ -185,6 +194,12 @@ def _cause(problem: Problem, attribution: Attribution, design: Design, name: str
         share=min(1.0, sum(member.share for member in members)),
         members=tuple(places),
         grounds=grounds,
+    )
+
+
+def _less_probable(cause: Cause, factor: float) -> Cause:
+    return replace(
+        cause, probability=factor * cause.probability, class_probability=factor * cause.class_probability
     )
 
 
@@ -328,6 +343,26 @@ def _doubted(
         cause,
         probability=min(cause.probability, BESIDE_ROUNDING),
         class_probability=min(cause.class_probability, BESIDE_ROUNDING),
+    )
+
+
+def _beside_leading(
+    problem: Problem, attribution: Attribution, design: Design, leading: Cause, cause: Cause
+) -> Cause:
+    """A further cause, doubted where the leading one's shape may be off by as much."""
+    if cause is leading or problem.library[leading.effect].nature is not Nature.MEAN:
+        return cause
+    curves = [
+        sum((attribution.members[place].curve_arcsec for place in each.members), np.zeros(len(problem)))
+        for each in (leading, cause)
+    ]
+    order = problem.hypotheses[attribution.members[cause.members[0]].hypothesis_index].cell.order
+    if not within_curve_error(problem, design.spans, curves[0], leading.effect_class, curves[1], order):
+        return cause
+    return replace(
+        cause,
+        probability=min(cause.probability, BESIDE_CURVE_ERROR),
+        class_probability=min(cause.class_probability, BESIDE_CURVE_ERROR),
     )
 
 

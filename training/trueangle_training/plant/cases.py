@@ -26,6 +26,11 @@ from trueangle_training.plant.world import Measured, World
 
 Floats = NDArray[np.float64]
 
+LEFT_OUT = 0.3
+"""How often JOINT.yaml holds no nominal parameters."""
+NOISE_LEFT_OUT = 0.45
+"""A parametric gap needs them always: with half as many of those, sound joints together lack them as often."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Case:
@@ -89,7 +94,7 @@ def _written(
 
 def _joint_text(wish: Wish, world: World, encoder: Encoder, rng: np.random.Generator) -> str:
     """Nominal parameters right, off by a few to some tens of per cent, or left out."""
-    left_out = rng.random() < 0.3
+    left_out = rng.random() < (NOISE_LEFT_OUT if wish.stratum == "noise" else LEFT_OUT)
     off = float(np.exp(rng.uniform(np.log(0.02), np.log(0.5))))
     if wish.stratum == "noise" or (wish.stratum != "parametric" and rng.random() < 0.5):
         off = 0.0

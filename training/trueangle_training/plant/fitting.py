@@ -1,5 +1,6 @@
 """Defects of the size that is wished for, in a world that lets them be what they are called."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,7 +8,7 @@ from numpy.typing import NDArray
 
 from trueangle_training.plant.data_faults import DATA_FAULTS
 from trueangle_training.plant.defect import AtSize, Defect
-from trueangle_training.plant.listing import draw_listing, without
+from trueangle_training.plant.listing import Listing, draw_listing, without
 from trueangle_training.plant.plants import PLANTS
 from trueangle_training.plant.simulator_reach import (
     CONTAINED,
@@ -48,13 +49,10 @@ def fitting(world: World, wish: Wish, rng: np.random.Generator) -> tuple[World, 
     if missing:
         raise CaseNotFoundError(f"plant {plant.letter} cannot make {', '.join(missing)}")
     if not names:
-        return world, ()
+        return world.with_listing(_shortened(world.listing, wish.unlisted)) if wish.unlisted else world, ()
     found: tuple[World, tuple[Sized, ...]] | None = None
     for _ in range(ATTEMPTS):
-        listing = draw_listing(rng)
-        for name in names:
-            listing = without(listing, name)
-        tried = world.with_listing(listing)
+        tried = world.with_listing(_shortened(draw_listing(rng), (*names, *wish.unlisted)))
         span = recalibrated_span(tried.conditions, tried.listing)
         enrs = [wish.enr, wish.enr * wish.ratio]
         sized = tuple(_sized(tried, name, enr, span, rng) for name, enr in zip(names, enrs, strict=False))
@@ -64,6 +62,12 @@ def fitting(world: World, wish: Wish, rng: np.random.Generator) -> tuple[World, 
     if found is None or wish.stratum in ("pair", "confounded", "unknown"):
         raise CaseNotFoundError(f"{wish} cannot be drawn on this plan")
     return found
+
+
+def _shortened(listing: Listing, names: Sequence[str]) -> Listing:
+    for name in names:
+        listing = without(listing, name)
+    return listing
 
 
 class CaseNotFoundError(Exception):

@@ -23,3 +23,8 @@ class Wish:
     """Second effect's size to the first one's."""
     plant: str = "A"
     """Letter of the plant that makes it."""
+    unlisted: tuple[str, ...] = ()
+    """Effects of the library that JOINT.yaml does not list, and that the joint does not have either.
+
+    What a joint lacks is never listed: without these, a short list would tell that something is wrong.
+    """
