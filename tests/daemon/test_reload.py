@@ -194,8 +194,8 @@ def test_a_kept_joint_is_served_by_the_new_arrangement_and_goes_stale_in_it(star
         async with start(config_yaml(BASE), one_wire(device)) as s:
             await s.r.until_status(1, StatusBit.VALID)
             await s.reload()
-            device.counts = lambda _: 2_000_000
-            await s.r.until(1, lambda read: read.raw_mas == raw_mas(2_000_000))
+            device.counts = lambda _: REST_COUNTS + 100_000
+            await s.r.until(1, lambda read: read.raw_mas == raw_mas(REST_COUNTS + 100_000))
             device.deaf = True
             await s.r.until(1, lambda read: StatusBit.STALE in read.status)
             device.deaf = False
