@@ -295,8 +295,8 @@ class Service:
         await self._open_lines()
         gone = sorted(old.joints.keys() - new.joints.keys())
         del old
-        # What was replaced lies in cycles (a pipeline calls its arrangement). The collector counts objects and knows
-        # nothing of the memory that ONNX Runtime keeps behind a few, so by itself it would come too seldom.
+        # What was replaced lies in cycles (a pipeline calls its arrangement). The collector counts objects and
+        # knows nothing of the memory that ONNX Runtime keeps behind a few, so by itself it would come too seldom.
         gc.collect()
         self.reloads.done(
             time.monotonic_ns(), kept=len(kept.slots), anew=len(new.joints) - len(kept.slots), gone=gone
