@@ -5,6 +5,7 @@ Exit codes: 0 done; 1 the service could not go on (port taken); 2 bad input, eve
 
 import argparse
 import asyncio
+import gc
 import logging
 import os
 import signal
@@ -96,6 +97,8 @@ def _run(options: argparse.Namespace) -> int:
 
 async def _serve(path: Path, loaded: Loaded, notifier: ServiceNotifier) -> None:
     sockets = handed_over_sockets(os.environ)
+    # Modules live as long as the process: passed over, the collection after a reload is short.
+    gc.freeze()
     await Service(
         loaded.config,
         loaded.joints,
