@@ -1,7 +1,7 @@
 """One joint at run time: its reading heads, its correction, and what is served of it at one moment.
 
 Rules of this file: `judge` decides what the status word is. Where nothing at all speaks against a joint with one
-head, the same comparisons are made here first without gathering the evidence (`_nothing_against`), because that is
+head, the same comparisons are made here first without gathering the evidence (`nothing_against`), because that is
 nearly every cycle; whatever is unusual is left to `judge`.
 """
 
@@ -197,8 +197,8 @@ class JointLine(ReadingHead):
             )
         status = (
             GOOD
-            if bus_up and self._nothing_against(correction, age_ms, now_ns, last_sync_ns)
-            else self._judged(correction, age_ms, now_ns, bus_up=bus_up, last_sync_ns=last_sync_ns)
+            if bus_up and self.nothing_against(correction, age_ms, now_ns, last_sync_ns)
+            else self.judged(correction, age_ms, now_ns, bus_up=bus_up, last_sync_ns=last_sync_ns)
         )
         shown = served.serve(
             status,
@@ -226,7 +226,7 @@ class JointLine(ReadingHead):
             user_zero_deg=served.user_zero_deg,
         )
 
-    def _nothing_against(
+    def nothing_against(
         self, correction: Correction | None, age_ms: float | None, now_ns: int, last_sync_ns: int | None
     ) -> bool:
         """Whether every reason that `judge` knows is absent, the bus apart; False where only `judge` can tell.
@@ -262,7 +262,7 @@ class JointLine(ReadingHead):
             )
         )
 
-    def _judged(
+    def judged(
         self,
         correction: Correction | None,
         age_ms: float | None,
