@@ -71,14 +71,14 @@ class Bench:
         scale = SampleScale(
             counts_per_rev=COUNTS_PER_REV, degc_per_unit=0.01, offset_c=0.0, sequence_modulus=2**16
         )
-        channels = [
+        self.channels = [
             JointChannel(
                 slot=slot, bus="arm", plan=plan(slot), scale=scale, limits=limits, model=self.models[slot]
             )
             for slot in (1, 2)
         ]
         self.pipeline = Pipeline(
-            channels,
+            self.channels,
             RegisterMap([_identity(1), _identity(2)]),
             publish=self.images.append,
             on_status=lambda slot, before, after: self.changes.append((slot, before, after)),

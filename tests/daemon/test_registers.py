@@ -3,7 +3,6 @@
 import itertools
 import math
 import struct
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -303,7 +302,7 @@ def test_an_image_does_not_change_when_the_next_one_is_built() -> None:
     states = {1: joint_state()}
     first = register_map.image(cycle=1, heartbeat=1, service_status=0, states=states)
     before = bytes(first.data)
-    register_map.image(cycle=2, heartbeat=2, service_status=0, states={1: replace(states[1], corrected_deg=1.0)})
+    register_map.image(cycle=2, heartbeat=2, service_status=0, states={1: states[1]._replace(corrected_deg=1.0)})
     assert first.data == before
 
 

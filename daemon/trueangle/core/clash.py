@@ -89,8 +89,11 @@ class SenderWatch:
         if len(self._before) < 3:
             return False
         (a, _), (b, b_ns), (c, c_ns) = self._before
-        apart = min(self._distance(a, b), self._distance(b, c), self._distance(c, counts))
-        near = max(self._distance(a, c), self._distance(b, counts))
+        last, near = self._distance(c, counts), self._distance(b, counts)
+        if last < MINIMUM_COUNTS or near * ALTERNATION > last:
+            return False  # whatever the older ones say: a joint at rest or on its way, nearly every frame
+        apart = min(self._distance(a, b), self._distance(b, c), last)
+        near = max(self._distance(a, c), near)
         least = MINIMUM_COUNTS
         if not self._synchronous and self._period_ns is None:
             least = max(least, self._counts_per_rev * FREE_EVENT_TURN)

@@ -3,8 +3,9 @@
 A model is anything with `correct`; the daemon gives it ONNX sessions, tests a formula.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +31,7 @@ class CorrectionModel(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Correction:
+class Correction(NamedTuple):
     """The model's word on one sample; non-finite values are kept, `health` judges them."""
 
     correction_arcsec: float
@@ -50,3 +50,19 @@ def correct_one(model: CorrectionModel, raw_deg: float, temperature_c: float) ->
         correction_arcsec=float(answer.correction_arcsec[0]),
         uncertainty_arcsec=None if uncertainty is None else float(uncertainty[0]),
     )
+
+
+@runtime_checkable
+class SampleModel(Protocol):
+    """A model with a shorter way for one sample, which must give what `correct` gives for it."""
+
+    def correct_sample(self, raw_deg: float, temperature_c: float) -> Correction:
+        """The correction of one sample; NaN where the model could not be run."""
+        ...
+
+
+def one_sample(model: CorrectionModel) -> Callable[[float, float], Correction]:
+    """The model's shortest way from one angle and temperature to its correction."""
+    if isinstance(model, SampleModel):
+        return model.correct_sample
+    return lambda raw_deg, temperature_c: correct_one(model, raw_deg, temperature_c)

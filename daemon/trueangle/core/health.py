@@ -116,7 +116,8 @@ class NodeCondition(enum.Enum):
     ID_CLASH = "node-id clash"
 
 
-_GOOD = StatusBit.VALID | StatusBit.CONFIGURED
+GOOD = StatusBit.VALID | StatusBit.CONFIGURED
+"""The status word of a joint that nothing speaks against."""
 _AGAINST_NODE = {
     NodeCondition.NOT_READY: StatusBit.NODE_NOT_READY,
     NodeCondition.SILENT: StatusBit.NODE_NOT_READY,
@@ -173,7 +174,7 @@ def judge(evidence: Evidence, limits: Limits) -> StatusBit:
     # Plain numbers until something is wrong: an operation on flags costs more than all comparisons of limits.
     against = _against_source(evidence, limits) | _against_temperature(evidence, limits)
     against |= _against_correction(evidence, limits)
-    status = StatusBit.CONFIGURED | against if against else _GOOD
+    status = StatusBit.CONFIGURED | against if against else GOOD
     if evidence.past_due and limits.serve_past_due:
         status |= StatusBit.CALIBRATION_PAST_DUE
     return status

@@ -9,20 +9,25 @@ word, the others go on.
 
 import datetime
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from trueangle.core.calendar_day import is_past_due
-from trueangle.core.clash import ClashLatch
-from trueangle.core.correction import Correction, CorrectionModel, correct_one
 from trueangle.core.frames import FrameLayout, NodePlan, Quantity, frame_layouts
-from trueangle.core.heads import HeadFusion
-from trueangle.core.health import Evidence, Limits, NodeCondition, ServiceBit, StatusBit, judge
-from trueangle.core.position import AngleSource
+from trueangle.core.health import GOOD, NodeCondition, ServiceBit, StatusBit
+from trueangle.core.joint_line import HeadChannel, JointChannel, JointLine, JointReading, ReadingHead
 from trueangle.core.registers import JointState, RegisterImage, RegisterMap
-from trueangle.core.sample import JointSample, SampleScale
 from trueangle.core.sensor_nodes import IN_SERVICE, SensorNodes
-from trueangle.core.serving import ServedJoint, ServingPolicy, in_quadrature_arcsec, moved_since_sample
 from trueangle.core.sync_time import SyncHistory
+
+__all__ = [
+    "Frame",
+    "HeadChannel",
+    "JointChannel",
+    "JointReading",
+    "Pipeline",
+    "PipelineCounters",
+    "PipelineState",
+]
 
 Frame = tuple[int, bytes, int]
 """COB-ID, data, monotonic reception time in ns."""
@@ -31,137 +36,10 @@ SYNC_COB_ID = 0x080
 _NO_SYNC = SyncHistory()
 """For nodes that send by themselves: their samples have the time of their arrival."""
 _VALID = int(StatusBit.VALID)
+_ALL_VALID, _BUS_DOWN = int(ServiceBit.ALL_VALID), int(ServiceBit.BUS_DOWN)
 DAY_CHECK_NS = 1_000_000_000
 _NOT_LOGGED = StatusBit.LATENCY_COMPENSATED
 """Comes and goes with the age of a sample: a register tells it, the log does not."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HeadChannel:
-    """A further reading head of a joint, on the joint's bus."""
-
-    plan: NodePlan
-    scale: SampleScale
-    mounting_deg: float
-    """Its angle less that of the first head at the same place of the shaft."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class JointChannel:
-    """All that the pipeline needs to serve one joint."""
-
-    slot: int
-    bus: str
-    plan: NodePlan
-    scale: SampleScale
-    limits: Limits
-    model: CorrectionModel
-    temperature_node: int | None = None
-    """The node on the same bus whose sensor it is; None: the encoder's own."""
-    temperature_has_status: bool = False
-    """The sensor tells a status: until it did, its temperature counts for nothing."""
-    policy: ServingPolicy = field(default_factory=ServingPolicy)
-    user_zero_deg: float = 0.0
-    further_heads: tuple[HeadChannel, ...] = ()
-    max_head_difference_arcsec: float = 1800.0
-    """Reading heads of one joint that lie further apart are not of one joint."""
-    calibrated: datetime.date | None = None
-    calibration_due: datetime.date | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class JointReading:
-    """What was last read of one joint, for a person or a command. None: not known."""
-
-    valid: bool
-    raw_deg: float | None
-    corrected_deg: float | None
-    """By the model alone."""
-    temperature_c: float | None
-    velocity_deg_s: float | None
-
-
-class _Head:
-    """One reading head at run time; that of most joints is their only one."""
-
-    __slots__ = ("clash", "condition", "fresh", "key", "sample", "synchronous")
-
-    def __init__(self, scale: SampleScale, key: int) -> None:
-        self.sample = JointSample(scale)
-        self.synchronous = scale.synchronous
-        self.clash = ClashLatch()
-        self.condition = NodeCondition.NOT_READY
-        self.fresh = False
-        """It answered the last SYNC, so the cycle waits for it."""
-        self.key = key
-        """The slot for a first head, beyond all slots for a further one."""
-
-    @property
-    def usable(self) -> bool:
-        """Whether its angle may take part in a fused one."""
-        position = self.sample.position
-        trusted = position.referenced and not position.jumped and not self.clash.active
-        return trusted and self.condition is NodeCondition.RUNNING
-
-
-class _Joint(_Head):
-    """One joint at run time, its first reading head included."""
-
-    __slots__ = (
-        "angle",
-        "channel",
-        "corrected_at_c",
-        "correction",
-        "due",
-        "fusion",
-        "heads",
-        "past_due",
-        "served",
-        "status",
-        "unfused",
-    )
-
-    def __init__(self, channel: JointChannel) -> None:
-        super().__init__(channel.scale, channel.slot)
-        self.channel = channel
-        further = [
-            _Head(head.scale, channel.slot + FURTHER_HEAD * number)
-            for number, head in enumerate(channel.further_heads, start=1)
-        ]
-        self.heads: tuple[_Head, ...] = (self, *further)
-        self.fusion: HeadFusion | None = None
-        if further:
-            mounting_deg = [0.0, *(head.mounting_deg for head in channel.further_heads)]
-            self.fusion = HeadFusion([head.sample.position for head in self.heads], mounting_deg)
-        self.angle: AngleSource = self.fusion or self.sample.position
-        """Where the joint's angle is read."""
-        self.correction: Correction | None = None
-        self.corrected_at_c: float | None = None
-        """The temperature that the correction was made for."""
-        self.due = False
-        """Its position has changed since the last model pass."""
-        self.unfused = False
-        """A head has moved since the last fusion."""
-        self.served = ServedJoint(channel.policy, channel.user_zero_deg)
-        self.past_due = False
-        self.status = StatusBit.CONFIGURED | StatusBit.NODE_NOT_READY
-
-    def moved(self) -> None:
-        """A new position came."""
-        if self.fusion is None:
-            self.due = True
-        else:
-            self.unfused = True
-
-    def fuse(self) -> None:
-        """One angle from the heads of this cycle."""
-        if self.fusion is not None and self.unfused:
-            self.fusion.fuse([head.usable for head in self.heads])
-            self.due, self.unfused = True, False
-
-
-FURTHER_HEAD = 64
-"""Distance of the keys of a joint's heads."""
 
 
 @dataclass(slots=True)
@@ -195,7 +73,7 @@ class Pipeline:
         `on_clash(slot, reason)` asks for the joint's node to be identified anew: two nodes send its positions, or
         have just ceased to. `today` must never go back (`LatestDay`); without it nothing is past due.
         """
-        self._joints = {channel.slot: _Joint(channel) for channel in channels}
+        self._joints = {channel.slot: JointLine(channel) for channel in channels}
         self._registers = registers
         self._publish = publish
         self._on_status = on_status
@@ -216,7 +94,7 @@ class Pipeline:
 
     def _lay_table(self) -> None:
         """Where each COB-ID leads, from the joints as they are."""
-        self._table: dict[tuple[str, int], tuple[_Joint, _Head, FrameLayout]] = {}
+        self._table: dict[tuple[str, int], tuple[JointLine, ReadingHead, FrameLayout]] = {}
         for joint in self._joints.values():
             plans = (joint.channel.plan, *(head.plan for head in joint.channel.further_heads))
             for head, plan in zip(joint.heads, plans, strict=True):
@@ -283,7 +161,7 @@ class Pipeline:
                     if head.synchronous:
                         self._await(joint, head, now_ns)
 
-    def _await(self, joint: _Joint, head: _Head, now_ns: int) -> None:
+    def _await(self, joint: JointLine, head: ReadingHead, now_ns: int) -> None:
         """At SYNC: the cycle waits for the heads that answered the last one."""
         if head.sample.watch.on_sync():
             self._on_two_senders(joint, head, now_ns)
@@ -324,7 +202,7 @@ class Pipeline:
             self._sensors.on_node(joint.channel.bus, joint.channel.plan.node_id, condition)
         self._serve(now_ns)
 
-    def _forget_angle(self, joint: _Joint) -> None:
+    def _forget_angle(self, joint: JointLine) -> None:
         joint.correction = None
         joint.due = joint.unfused = False
         if joint.fusion is not None:
@@ -389,7 +267,7 @@ class Pipeline:
         self._end_clashes(now_ns)
         self._serve(now_ns)
 
-    def _on_two_senders(self, joint: _Joint, head: _Head, now_ns: int) -> None:
+    def _on_two_senders(self, joint: JointLine, head: ReadingHead, now_ns: int) -> None:
         head.sample.two_senders = False
         if head.clash.on_evidence(now_ns) and head is joint:
             self._ask_again(joint.channel.slot, "two nodes send its positions")
@@ -411,21 +289,6 @@ class Pipeline:
             joint.fuse()
         self._serve(now_ns)
 
-    def _correct(self) -> None:
-        """One model pass over the joints whose sample is newer than their correction.
-
-        A temperature alone is a newer sample too: when a broken sensor is good again, a correction for what it
-        said while it was broken must not be served for the rest of the cycle.
-        """
-        for joint in self._joints.values():
-            raw_deg, temperature_c = joint.angle.raw_deg, joint.sample.temperature_c
-            if raw_deg is None or temperature_c is None:
-                joint.correction = None
-            elif joint.due or joint.correction is None or joint.corrected_at_c != temperature_c:
-                joint.correction = correct_one(joint.channel.model, raw_deg, temperature_c)
-                joint.corrected_at_c = temperature_c
-            joint.due = False
-
     def _check_day(self, now_ns: int) -> None:
         if self._today is None or (
             self._day_checked_ns is not None and now_ns - self._day_checked_ns < DAY_CHECK_NS
@@ -436,19 +299,24 @@ class Pipeline:
             joint.past_due = is_past_due(today, joint.channel.calibrated, joint.channel.calibration_due)
 
     def _serve(self, now_ns: int) -> None:
-        self._correct()
         self._check_day(now_ns)
         states: dict[int, JointState] = {}
-        service = ServiceBit.ALL_VALID
+        service = int(self.service_bits)
+        all_valid = True
         for slot, joint in self._joints.items():
-            states[slot] = state = self._state(joint, now_ns)
-            if not int(state.status) & _VALID:
-                service &= ~ServiceBit.ALL_VALID
+            joint.correct()
+            bus = joint.channel.bus
+            states[slot] = state = joint.state(
+                now_ns, bus_up=self._bus_up[bus], last_sync_ns=self._syncs[bus].last_ns
+            )
             before, joint.status = joint.status, state.status
-            if before != state.status and (before ^ state.status) & ~_NOT_LOGGED:
+            if before is not state.status and before != state.status and (before ^ state.status) & ~_NOT_LOGGED:
                 self._on_status(slot, before, state.status)
+            all_valid = all_valid and (state.status is GOOD or int(state.status) & _VALID != 0)
+        if all_valid:
+            service |= _ALL_VALID
         if not all(self._bus_up.values()):
-            service |= ServiceBit.BUS_DOWN
+            service |= _BUS_DOWN
         self.counters.images += 1
         self.last_image_ns = now_ns
         self.states = states
@@ -456,89 +324,10 @@ class Pipeline:
             self._registers.image(
                 cycle=self.counters.images & 0xFFFFFFFF,
                 heartbeat=self.counters.cycles & 0xFFFF,
-                service_status=int(service | self.service_bits),
+                service_status=service,
                 states=states,
             )
         )
-
-    def _state(self, joint: _Joint, now_ns: int) -> JointState:
-        sample, angle, correction = joint.sample, joint.angle, joint.correction
-        age_ms = None if angle.stamp_ns is None else max(0.0, (now_ns - angle.stamp_ns) * 1e-6)
-        way = moved_since_sample(joint.channel.policy, angle, age_ms)
-        if correction is not None and (way is not None or joint.fusion is not None):
-            correction = Correction(
-                correction_arcsec=correction.correction_arcsec,
-                uncertainty_arcsec=in_quadrature_arcsec(
-                    correction.uncertainty_arcsec,
-                    0.0 if way is None else way.uncertainty_arcsec,
-                    0.0 if joint.fusion is None else joint.fusion.uncertainty_arcsec,
-                ),
-            )
-        status = self._judge(joint, correction, age_ms, now_ns)
-        served = joint.served.serve(
-            status,
-            raw_deg=angle.raw_deg,
-            correction=correction,
-            moved_deg=None if way is None else way.moved_deg,
-            stamp_ns=angle.stamp_ns,
-            now_ns=now_ns,
-            age_ms=age_ms,
-        )
-        return JointState(
-            status=served.bits,
-            sequence=sample.sequence,
-            corrected_deg=served.corrected_deg,
-            raw_deg=angle.raw_deg,
-            correction_arcsec=served.correction_arcsec,
-            temperature_c=sample.temperature_c,
-            age_ms=served.age_ms,
-            uncertainty_arcsec=served.uncertainty_arcsec,
-            velocity_deg_s=angle.velocity_deg_s,
-            turns=angle.turns,
-            raw_counts=sample.position.position_counts,
-            frames_received=sample.frames_received & 0xFFFFFFFF,
-            frames_lost=sample.frames_lost & 0xFFFFFFFF,
-            user_zero_deg=joint.served.user_zero_deg,
-        )
-
-    def _judge(self, joint: _Joint, correction: Correction | None, age_ms: float | None, now_ns: int) -> StatusBit:
-        sample, channel, fusion = joint.sample, joint.channel, joint.fusion
-        told = sample.temperature_status is not None or not channel.temperature_has_status
-        stamp_ns = sample.temperature_stamp_ns if told else None
-        # A joint with several heads suffers from what befalls one of them only when no head is left.
-        alone = fusion is None or not any(head.usable for head in joint.heads)
-        node = NodeCondition.ID_CLASH if joint.clash.active else joint.condition
-        status = judge(
-            Evidence(
-                bus_up=self._bus_up[channel.bus],
-                node=node if alone else NodeCondition.RUNNING,
-                age_ms=age_ms,
-                raw_deg=joint.angle.raw_deg,
-                temperature_c=sample.temperature_c,
-                temperature_age_s=None if stamp_ns is None else max(0.0, (now_ns - stamp_ns) * 1e-9),
-                correction_arcsec=None if correction is None else correction.correction_arcsec,
-                uncertainty_arcsec=None if correction is None else correction.uncertainty_arcsec,
-                uncertainty_needed=fusion is not None and fusion.uncertainty_arcsec is None,
-                referenced=joint.served.user_zero_known and (not alone or sample.position.referenced),
-                jumped=alone and sample.position.jumped,
-                past_due=joint.past_due,
-                temperature_fault=bool(sample.temperature_status),
-                temperature_plausible=sample.temperature_watch.plausible(now_ns),
-                sync_lost=joint.synchronous and self._sync_lost(channel, age_ms, now_ns),
-                heads_disagree=fusion is not None
-                and fusion.disagreement_arcsec > channel.max_head_difference_arcsec,
-            ),
-            channel.limits,
-        )
-        return status | StatusBit.HEAD_LOST if fusion is not None and fusion.lost else status
-
-    def _sync_lost(self, channel: JointChannel, age_ms: float | None, now_ns: int) -> bool:
-        """SYNC has stopped, or never came and no position either."""
-        stale_ms = channel.limits.stale_ms
-        last_ns = self._syncs[channel.bus].last_ns
-        if last_ns is None:
-            return self._bus_up[channel.bus] and (age_ms is None or age_ms > stale_ms)
-        return (now_ns - last_ns) * 1e-6 > stale_ms
 
     @property
     def statuses(self) -> Mapping[int, StatusBit]:
@@ -586,7 +375,7 @@ class Pipeline:
 class PipelineState:
     """All that a pipeline knows beside its configuration."""
 
-    joints: Mapping[int, _Joint]
+    joints: Mapping[int, JointLine]
     syncs: Mapping[str, SyncHistory]
     awaited: frozenset[int]
     """Keys of reading heads."""

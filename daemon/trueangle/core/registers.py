@@ -9,6 +9,7 @@ import datetime
 import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from trueangle.contract.units import DEG_PER_TURN, MILLIARCSEC_PER_TURN
 from trueangle.core.health import ServiceBit, StatusBit
@@ -67,8 +68,7 @@ _FLOAT32_TURN_DEG = 360.0 - 2.0**-16
 """From here binary32 rounds to 360: its step below 360 is 2^-15 and the tie goes to the even 360."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class JointState:
+class JointState(NamedTuple):
     """What is served of one joint in one cycle. None: not known."""
 
     status: StatusBit

@@ -10,6 +10,7 @@ stands in only where the position itself is good and only its correction is not.
 import enum
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from trueangle.core.correction import Correction
 from trueangle.core.health import INFORMATION, StatusBit
@@ -56,8 +57,7 @@ class ServingPolicy:
     """A younger sample is moved on to the moment of publication; None: never."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Served:
+class Served(NamedTuple):
     """One joint's corrected angle as it goes into the registers. None: the marker."""
 
     bits: StatusBit

@@ -38,8 +38,10 @@ class SyncHistory:
 
     def stamp_ns(self, number: int) -> int:
         """The time of that SYNC; of the nearest kept one where it is not kept."""
-        behind = min(max(0, self.number - number), len(self._stamps_ns) - 1)
-        return self._stamps_ns[-1 - behind]
+        behind = self.number - number
+        if behind <= 0:
+            return self._stamps_ns[-1]
+        return self._stamps_ns[-1 - min(behind, len(self._stamps_ns) - 1)]
 
 
 class SampleTime:
@@ -59,7 +61,8 @@ class SampleTime:
         distance = history.number - sample_number
         if self._now is None or received_ns - self._window_start_ns > WINDOW_NS:
             self._before, self._now, self._window_start_ns = self._now, distance, received_ns
-        self._now = min(self._now, distance)
-        nearest = self._now if self._before is None else min(self._now, self._before)
+        elif distance < self._now:
+            self._now = distance
+        nearest = self._now if self._before is None or self._now < self._before else self._before
         # No sample is younger than its frame: a number that jumped makes the distance too small.
         return min(received_ns, history.stamp_ns(sample_number + nearest))

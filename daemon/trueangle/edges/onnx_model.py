@@ -5,6 +5,7 @@ first angle is served. Nothing of a graph is ever edited here.
 """
 
 import hashlib
+import math
 import os
 from pathlib import Path
 from typing import Any, cast
@@ -25,7 +26,7 @@ from trueangle.contract.metadata import (
     probe_disagreement,
     seal_holds,
 )
-from trueangle.core.correction import ModelAnswer
+from trueangle.core.correction import Correction, ModelAnswer
 
 MAX_MODEL_BYTES = 16 * 2**20
 _EXTERNAL_DATA = b"\x0a\x08location\x12"
@@ -40,6 +41,11 @@ class OnnxModel:
         self._outputs = [CORRECTION_OUTPUT, UNCERTAINTY_OUTPUT] if has_uncertainty else [CORRECTION_OUTPUT]
         self.metadata = metadata
         self.sha256 = sha256
+        self._one = _OneSample(session, self._outputs)
+
+    def correct_sample(self, raw_deg: float, temperature_c: float) -> Correction:
+        """One sample; a run that fails gives NaN. From one thread at a time."""
+        return self._one.run(raw_deg, temperature_c)
 
     def correct(self, angle_deg: NDArray[np.float64], temperature_c: NDArray[np.float64]) -> ModelAnswer:
         """Corrections for n samples, shapes [n]; a run that fails gives NaN, which `health` refuses."""
@@ -51,6 +57,33 @@ class OnnxModel:
         return ModelAnswer(
             correction_arcsec=answers[0], uncertainty_arcsec=answers[1] if len(answers) > 1 else None
         )
+
+
+class _OneSample:
+    """Runs the graph on memory that is bound to it once: no array is made and no name looked up in a run."""
+
+    def __init__(self, session: Any, outputs: list[str]) -> None:
+        self._session = session
+        self._angle_deg, self._temperature_c = np.zeros(1), np.zeros(1)
+        self._answers = [np.full(1, np.nan) for _ in outputs]
+        self._binding = session.io_binding()
+        memory = (self._angle_deg, self._temperature_c)
+        for name, array in zip((ANGLE_INPUT, TEMPERATURE_INPUT), memory, strict=True):
+            self._binding.bind_input(name, "cpu", 0, np.float64, (1,), array.ctypes.data)
+        for name, array in zip(outputs, self._answers, strict=True):
+            self._binding.bind_output(name, "cpu", 0, np.float64, (1,), array.ctypes.data)
+
+    def run(self, raw_deg: float, temperature_c: float) -> Correction:
+        self._angle_deg[0], self._temperature_c[0] = raw_deg, temperature_c
+        # The last sample's answer must never pass for this one's.
+        for answer in self._answers:
+            answer[0] = math.nan
+        try:
+            self._session.run_with_iobinding(self._binding)
+        except Exception:  # noqa: BLE001 - ONNX Runtime's own exceptions derive from Exception alone
+            return Correction(math.nan, None)
+        numbers = [answer.item() for answer in self._answers]
+        return Correction(numbers[0], numbers[1] if len(numbers) > 1 else None)
 
 
 def load_model(path: Path, *, pinned_sha256: str | None = None) -> OnnxModel:
@@ -154,6 +187,8 @@ def _replay(model: OnnxModel, where: str) -> None:
         uncertainty_arcsec=None if uncertainty is None else uncertainty.tolist(),
         tolerance_arcsec=model.metadata.probe_tolerance_arcsec,
     )
+    if disagreement is None:
+        disagreement = _disagreement_one_by_one(model)
     if disagreement is not None:
         raise _refusal(where, "probes that come out as they were written", disagreement)
     datum_deg, valid_c = model.metadata.datum_deg, model.metadata.valid_temperature_c
@@ -163,6 +198,22 @@ def _replay(model: OnnxModel, where: str) -> None:
         raise _refusal(where, f"a correction of 0 at the datum ({datum_deg:g} deg)", found)
     if model.correct(np.empty(0), np.empty(0)).correction_arcsec.shape != (0,):
         raise _refusal(where, "an empty result for no samples", "values")
+
+
+def _disagreement_one_by_one(model: OnnxModel) -> str | None:
+    """The probes again, each a pass of its own as in service."""
+    probes = model.metadata.probes
+    answers = [
+        model.correct_sample(angle_deg, temperature_c)
+        for angle_deg, temperature_c in zip(probes.angle_deg, probes.temperature_c, strict=True)
+    ]
+    uncertainty = [one.uncertainty_arcsec for one in answers if one.uncertainty_arcsec is not None]
+    return probe_disagreement(
+        probes,
+        correction_arcsec=[one.correction_arcsec for one in answers],
+        uncertainty_arcsec=uncertainty or None,
+        tolerance_arcsec=model.metadata.probe_tolerance_arcsec,
+    )
 
 
 def _refusal(where: str, expected: str, found: str, advice: str = "") -> ContractError:
