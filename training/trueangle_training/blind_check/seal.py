@@ -195,7 +195,8 @@ def opened(folder: Path, seal: Seal) -> list[SealedCase]:
 
 
 def _wish(plain: Json) -> Wish:
-    return Wish(**{**plain, "names": tuple(plain["names"])})
+    names = {name: tuple(plain.get(name, ())) for name in ("names", "unlisted")}
+    return Wish(**{**plain, **names})
 
 
 def truth_of_plain(plain: Json) -> Truth:
