@@ -65,6 +65,24 @@ def head_differences(joint: JointConfig, head: int, found: EncoderSettings) -> l
     )
 
 
+def mechanics_text(joint: JointConfig) -> str:
+    """How counts become the joint's angle, as configured; empty for one head, no gear, direction 1."""
+    texts = [_encoder_text(joint.encoder)]
+    texts += [
+        f"head {head.node_id} at {head.mounting_deg:g} deg {_encoder_text(head.encoder)}".rstrip()
+        for head in joint.further_heads
+    ]
+    return "; ".join(text for text in texts if text)
+
+
+def _encoder_text(encoder: EncoderConfig) -> str:
+    gear = encoder.gear_ratio
+    parts = ["direction -1"] if encoder.direction == -1 else []
+    if gear is not None and gear.motor_turns != gear.joint_turns:
+        parts.append(f"gear {gear.motor_turns}:{gear.joint_turns}")
+    return " ".join(parts)
+
+
 def count_differences(encoder: EncoderConfig, found: EncoderSettings) -> list[str]:
     """What of the node's scaling is not as configured."""
     differences: list[str] = []

@@ -83,6 +83,7 @@ class Rig:
         mechanics: Mechanics | None = None,
         temperature: TemperatureLimits | None = None,
         second_head: bool = False,
+        synchronous: bool = True,
         today: list[datetime.date] | None = None,
         **channel: Any,
     ) -> None:
@@ -96,6 +97,7 @@ class Rig:
             degc_per_unit=0.01,
             offset_c=0.0,
             sequence_modulus=None,
+            synchronous=synchronous,
             mechanics=mechanics or Mechanics(),
             temperature=temperature or TemperatureLimits(),
         )

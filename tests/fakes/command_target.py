@@ -28,6 +28,9 @@ class FakeJoints:
     def set_user_zero(self, slot: int, user_zero_mas: int | None) -> None:
         self.zeros[slot] = user_zero_mas
 
+    def remove_preset(self, slot: int) -> None:
+        self.zeros[slot] = 0
+
     def clear_fault(self, slot: int) -> None:
         self.cleared.append(slot)
 

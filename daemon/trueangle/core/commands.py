@@ -82,7 +82,7 @@ RESULT_MEANING: dict[Result, str] = {
     Result.NOT_ARMED: "nothing armed, or another connection armed this joint since (exception 04)",
     Result.EXPIRED: "armed longer than 5 s ago (exception 04)",
     Result.TOO_EARLY: "confirmed within 0.1 s of arming; still armed (exception 04)",
-    Result.DIFFERS: "slot or angle differ from what was armed (exception 04)",
+    Result.DIFFERS: "slot, angle, encoder or model differ from what was armed (exception 04)",
     Result.STORAGE_FAILED: "the preset could not be stored and is not in force (exception 04)",
     Result.BUSY: "a preset is being stored (exception 06)",
 }
@@ -124,11 +124,15 @@ class CommandTarget(Protocol):
         ...
 
     def set_user_zero(self, slot: int, user_zero_mas: int | None) -> None:
-        """Take this off every corrected angle from now on, 0..1295999999; 0: no preset.
+        """Take this off every corrected angle from now on, 0..1295999999.
 
         None: a preset is stored that belongs to another encoder or model, so nobody knows what the user's angle
         is; the joint must not be served as valid (NOT_REFERENCED).
         """
+        ...
+
+    def remove_preset(self, slot: int) -> None:
+        """No preset: the zero of the configuration is taken off from now on."""
         ...
 
     def clear_fault(self, slot: int) -> None:
@@ -173,6 +177,8 @@ class _Armed:
     armed_ns: int
     model_deg: float | None
     """Where the joint stood; None: not known, only when a preset is removed."""
+    binding: PresetBinding | None
+    """What it was then; None: not known, only when a preset is removed."""
 
 
 class CommandDesk:
@@ -204,7 +210,7 @@ class CommandDesk:
         """The node of this joint was read: its preset applies if it was made with this encoder and this model."""
         preset = self._presets.get(slot)
         if preset is None:
-            self._target.set_user_zero(slot, 0)
+            self._target.remove_preset(slot)
             return
         applies = preset.binding == binding
         self._target.set_user_zero(slot, preset.user_zero_mas if applies else None)
@@ -295,7 +301,7 @@ class CommandDesk:
         self.forget(session)
         if (other := self._armed.get(slot)) is not None:
             self.forget(other)
-        session.armed = _Armed(command, slot, angle_mas, now_ns, situation.model_deg)
+        session.armed = _Armed(command, slot, angle_mas, now_ns, situation.model_deg, situation.binding)
         self._armed[slot] = session
         return Result.ARMED
 
@@ -321,6 +327,8 @@ class CommandDesk:
             return self._save(session, slot, None)
         if armed.model_deg is None or situation.model_deg is None or situation.binding is None:
             return Result.NOT_VALID
+        if situation.binding != armed.binding:
+            return Result.DIFFERS
         moved_deg = (situation.model_deg - armed.model_deg + 180.0) % 360.0 - 180.0
         if not abs(moved_deg) <= STANDSTILL_DEG:
             return Result.MOVING
@@ -360,7 +368,7 @@ class CommandDesk:
         if situation is None:
             return
         if preset is None:
-            self._target.set_user_zero(slot, 0)
+            self._target.remove_preset(slot)
         elif situation.binding == preset.binding:
             self._target.set_user_zero(slot, preset.user_zero_mas)
         else:

@@ -37,6 +37,12 @@ class Correction(NamedTuple):
     correction_arcsec: float
     uncertainty_arcsec: float | None
 
+    @property
+    def known(self) -> "Correction":
+        """The same, with an uncertainty that can be one: NaN and negative numbers say nothing."""
+        uncertainty = self.uncertainty_arcsec
+        return self if uncertainty is None or uncertainty >= 0.0 else Correction(self.correction_arcsec, None)
+
     def corrected_deg(self, raw_deg: float) -> float:
         """The corrected angle in [0, 360)."""
         return wrap_deg(raw_deg + self.correction_arcsec / ARCSEC_PER_DEG)

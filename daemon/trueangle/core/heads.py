@@ -3,11 +3,12 @@
 A head mounted at m reads `angle + m + e(angle)`. Equally spaced heads read the same error curve at equal
 distances, so their mean cancels every harmonic of it that is no multiple of their number: eccentricity with two.
 
-Rules of this file: heads are averaged only over one and the same sample; one whose sample is another SYNC's is
-missing. While all are there, each head's difference from the mean is kept, by sector of the turn. When one is lost
-the others go on from where the mean stood: the angle is continuous, and drifts from the full mean as the joint
-turns, by what the missing heads no longer cancel. How much that is, is known where all heads have been seen, and
-unknown elsewhere. When it comes back the difference fades with `FADE_S`; until then the head counts as lost.
+Rules of this file: heads are averaged only over one and the same sample, that of one SYNC, whose time all its
+samples have exactly; one whose sample is another SYNC's is missing. While all are there, each head's difference
+from the mean is kept, by sector of the turn. When one is lost the others go on from where the mean stood: the
+angle is continuous, and drifts from the full mean as the joint turns, by what the missing heads no longer
+cancel. How much that is, is known where all heads have been seen, and unknown elsewhere. When it comes back the
+difference fades with `FADE_S`; until then the head counts as lost.
 """
 
 import math
@@ -19,8 +20,6 @@ from trueangle.core.position import PositionTrack
 SECTORS = 36
 FADE_S = 1.0
 FADED_ARCSEC = 0.01
-SAME_SAMPLE_NS = 500_000
-"""Heads that answer one SYNC have its time exactly; others are believed to be of one sample within this."""
 
 
 class _Sectors:
@@ -109,7 +108,7 @@ class HeadFusion:
         present = tuple(
             i
             for i, (track, ok) in enumerate(zip(tracks, usable, strict=True))
-            if ok and track.stamp_ns is not None and stamp_ns - track.stamp_ns <= SAME_SAMPLE_NS
+            if ok and track.stamp_ns == stamp_ns
         )
         elapsed_s = 0.0 if self.stamp_ns is None else max(0, stamp_ns - self.stamp_ns) * 1e-9
         self.stamp_ns = stamp_ns

@@ -174,7 +174,7 @@ class JointLine(ReadingHead):
         if raw_deg is None or temperature_c is None:
             self.correction = None
         elif self.due or self.correction is None or self.corrected_at_c != temperature_c:
-            self.correction = self._model(raw_deg, temperature_c)
+            self.correction = self._model(raw_deg, temperature_c).known
             self.corrected_at_c = temperature_c
         self.due = False
 

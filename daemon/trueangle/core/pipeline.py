@@ -209,7 +209,7 @@ class Pipeline:
             joint.fusion.forget()
 
     def set_user_zero(self, slot: int, zero_deg: float | None, now_ns: int) -> None:
-        """From now on this is taken off what is served, before it is reduced to one turn; 0 takes it back.
+        """From now on this is taken off what is served, before it is reduced to one turn; 0: nothing is.
 
         None: nobody knows what the user's zero is; the joint is not referenced.
         """

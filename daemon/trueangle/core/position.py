@@ -5,7 +5,8 @@ the sample on which it moved faster than the joint can. Then either a second jum
 can have got to since, and it is believed again after `settle_samples` consistent samples (a spike); or it stays
 where it went, and nothing that this encoder says can tell a moved phase from a moved shaft: not believed until the
 node has been identified anew (`forget`) or a person clears it. An encoder without an absolute zero is referenced
-only by its reference, and no longer after a jump.
+only by its reference, and no longer after a jump. Where the counts' range is no whole number of the joint's turns and
+has run over, only a person knows the turn, also after the node has left and come back.
 """
 
 import math
@@ -65,6 +66,7 @@ class PositionTrack:
         "_jump_deg",
         "_modulus",
         "_range_loses_phase",
+        "_range_lost",
         "_settled",
         "_step",
         "_unwraps",
@@ -87,6 +89,8 @@ class PositionTrack:
         self._step = mechanics.direction * mechanics.joint_turns
         self._counts_per_turn = counts_per_rev * mechanics.motor_turns
         self._deg_per_count = self._step * DEG_PER_TURN / self._counts_per_turn
+        self._range_lost = False
+        """The range ran over: the counts alone tell no angle any more."""
         self.set_range(mechanics.range_counts)
         self.forget()
 
@@ -116,7 +120,7 @@ class PositionTrack:
         """Between the last two samples."""
         self._wraps = 0
         self.jumped = False
-        self.referenced = self.mechanics.absolute
+        self.referenced = self.mechanics.absolute and not self._range_lost
         self._anchor_counts, self._anchor_stamp_ns, self._jump_deg = 0, 0, 0.0
         self._settled: int | None = None
         """Consistent samples since a spike came back; None: it has not."""
@@ -128,13 +132,13 @@ class PositionTrack:
 
     def set_referenced(self) -> None:
         """The reference was passed, or a person says that the zero is known."""
-        self.referenced = True
+        self.referenced, self._range_lost = True, False
 
     def clear_jump(self) -> None:
         """A person says that the position is right in spite of its jump."""
         self.jumped = False
         if self.mechanics.absolute:
-            self.referenced = True
+            self.referenced = not self._range_lost
 
     def move_to(self, counts: int, stamp_ns: int) -> None:
         """The position of a new sample."""
@@ -145,7 +149,7 @@ class PositionTrack:
         if moved != counts - self.position_counts and self._unwraps:
             self._wraps += (moved - (counts - self.position_counts)) // self._modulus
             if self._range_loses_phase:
-                self.referenced = False
+                self.referenced, self._range_lost = False, True
         moved_deg, elapsed_ns = moved * self._deg_per_count, stamp_ns - self.stamp_ns
         if self.mechanics.motion is not None:
             self._watch(self.mechanics.motion, counts, abs(moved_deg), elapsed_ns)
@@ -205,6 +209,8 @@ class Extrapolation:
 
 VELOCITY_TIME_JITTER_S = 50e-6
 """Standard uncertainty of the interval between two samples: a process sends SYNC, the kernel stamps frames."""
+SHORTEST_INTERVAL_S = 10 * VELOCITY_TIME_JITTER_S
+"""Frames that waited together and were read in one go lie microseconds apart, whatever time lay between them."""
 
 
 class AngleSource(Protocol):
@@ -224,14 +230,14 @@ class AngleSource(Protocol):
 
 
 def extrapolate(track: AngleSource, age_s: float) -> Extrapolation | None:
-    """The way moved in `age_s` at the last velocity; None where that is not known.
+    """The way moved in `age_s` at the last velocity; None where that is not known to a tenth.
 
     With interval T, velocity v and its change dv against the interval before, the velocity is that of the middle
     of the last interval: two quantised counts give it resolution / (sqrt(6) T), the interval's jitter
     v * jitter / T, and a joint that goes on accelerating as it did moves dv / T * age * (age + T) / 2 further.
     """
     velocity, change, interval_s = track.velocity_deg_s, track.velocity_change_deg_s, track.interval_s
-    if velocity is None or change is None or interval_s <= 0.0:
+    if velocity is None or change is None or interval_s < SHORTEST_INTERVAL_S:
         return None
     quantised = track.resolution_deg / math.sqrt(6.0) / interval_s * age_s
     jitter = velocity * VELOCITY_TIME_JITTER_S / interval_s * age_s

@@ -19,7 +19,7 @@ _Unsigned32 = Annotated[int, Range(minimum=0, maximum=0xFFFF_FFFF)]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PresetBinding:
-    """The encoder and the model with which a preset was made; on any other it means another angle."""
+    """Encoder, model and mechanics with which a preset was made; on any other it means another angle."""
 
     model_sha256: Hash
     vendor_id: _Unsigned32 | None = None
@@ -30,6 +30,14 @@ class PresetBinding:
     """0x6003 of the encoder: moved, its own zero has moved."""
     offset_value: _Unsigned32 | None = None
     """0x6509"""
+    operating_parameters: _Unsigned32 | None = None
+    """0x6000: another code sequence turns the angle round."""
+    units_per_revolution: _Unsigned32 | None = None
+    """0x6001"""
+    total_range_units: _Unsigned32 | None = None
+    """0x6002"""
+    mechanics: str = ""
+    """What the configuration says of direction, gear and further heads; empty: one head, direct, direction 1."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

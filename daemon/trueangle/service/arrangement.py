@@ -81,6 +81,8 @@ class Arrangement:
         self.node_since_ns = dict.fromkeys(self.joints, now_ns)
         """Since when each node is in its state, monotonic."""
         self.buses_down: dict[str, str] = {}
+        self.first_accepted: dict[tuple[int, int], EncoderSettings] = {}
+        """Of each slot and head: what it must stay, also where neither model nor configuration say anything."""
 
     def take_over(self, previous: "Arrangement", buses: Mapping[str, bool]) -> CarriedOver:
         """Go on where `previous` ends; gives what goes on as if nothing had happened.
@@ -101,6 +103,12 @@ class Arrangement:
         for slot in kept.slots:
             self.node_state[slot] = previous.node_state[slot]
             self.node_since_ns[slot] = previous.node_since_ns[slot]
+        same = {
+            slot
+            for slot in self.joints.keys() & previous.joints.keys()
+            if _same_encoders(self.joints[slot], previous.joints[slot])
+        }
+        self.first_accepted = {at: told for at, told in previous.first_accepted.items() if at[0] in same}
         for slot, outage in previous.outages.items():
             if slot in self.joints and self.joints[slot].config.name == previous.joints[slot].config.name:
                 self.outages[slot] = outage
@@ -160,14 +168,24 @@ class Arrangement:
 
     def accept(self, slot: int, settings: EncoderSettings) -> list[str]:
         """Why this encoder must not be corrected with the joint's model; empty where it may."""
-        differences = encoder_differences(self.joints[slot], settings)
+        differences = self._differences(slot, 0, settings, encoder_differences(self.joints[slot], settings))
         if not differences and self._on_accepted is not None:
             self._on_accepted(slot, settings)
         return differences
 
     def accept_head(self, slot: int, head: int, settings: EncoderSettings) -> list[str]:
         """The same for one of the joint's further heads."""
-        return head_differences(self.joints[slot].config, head, settings)
+        return self._differences(slot, head, settings, head_differences(self.joints[slot].config, head, settings))
+
+    def _differences(self, slot: int, head: int, settings: EncoderSettings, differences: list[str]) -> list[str]:
+        """`differences`, or else what has changed since the encoder was first accepted.
+
+        A zero set at the unit itself, or a unit exchanged for its like, moves the phase all the same.
+        """
+        if differences:
+            return differences
+        first = self.first_accepted.setdefault((slot, head), settings)
+        return [f"{text} since the start; restart to accept it" for text in settings.differences_from(first)]
 
     def _on_status(self, slot: int, before: StatusBit, after: StatusBit) -> None:
         del before  # the outage log keeps its own account
@@ -200,6 +218,13 @@ class Arrangement:
         ]
         text = f"{valid} of {len(statuses)} joints valid"
         return f"{text}; {'; '.join(troubles)}" if troubles else text
+
+
+def _same_encoders(one: LoadedJoint, other: LoadedJoint) -> bool:
+    """Whether the encoders of one joint are to be those of the other."""
+    names = ("bus", "node_id", "encoder", "further_heads")
+    same = all(getattr(one.config, name) == getattr(other.config, name) for name in names)
+    return same and one.model.sha256 == other.model.sha256
 
 
 def reasons(status: StatusBit) -> str:

@@ -17,6 +17,7 @@ from trueangle.core.node_setup import NodeState
 from trueangle.core.presets import PresetBinding
 from trueangle.edges.preset_store import PresetFile, load_presets
 from trueangle.service.arrangement import Arrangement
+from trueangle.serving_settings import mechanics_text
 
 _MAS_PER_DEG = 3_600_000.0
 _IN_TROUBLE = (NodeState.FAULT, NodeState.REFUSED, NodeState.CLASH)
@@ -60,6 +61,10 @@ class Commanding:
             serial_number=settings.serial_number,
             preset_value=settings.preset_value,
             offset_value=settings.offset_value,
+            operating_parameters=settings.operating_parameters,
+            units_per_revolution=settings.units_per_revolution,
+            total_range_units=settings.total_range_units,
+            mechanics=mechanics_text(joint.config),
         )
         self.desk.identified(slot, self._bindings[slot])
 
@@ -86,6 +91,12 @@ class Commanding:
         """See `CommandTarget`."""
         zero_deg = None if user_zero_mas is None else user_zero_mas / _MAS_PER_DEG
         self._arrangement().pipeline.set_user_zero(slot, zero_deg, time.monotonic_ns())
+
+    def remove_preset(self, slot: int) -> None:
+        """See `CommandTarget`."""
+        arrangement = self._arrangement()
+        zero_deg = arrangement.joints[slot].config.zero_deg
+        arrangement.pipeline.set_user_zero(slot, zero_deg, time.monotonic_ns())
 
     def clear_fault(self, slot: int) -> None:
         """A jump is taken for right; a node in trouble is identified and set up again."""
