@@ -88,8 +88,12 @@ class SocketcanLink:
 
     def hand_over(self) -> None:
         """Read everything that is there and hand it on as one batch."""
+        self._take()
+
+    def _take(self) -> bool:
+        """The same; False where nothing was there that anybody listens to."""
         if self._socket is None:
-            return
+            return False
         frames: list[Frame] = []
         try:
             for _ in range(MAX_DRAIN_FRAMES):
@@ -105,6 +109,7 @@ class SocketcanLink:
         if frames:
             self._counters.frames += len(frames)
             self._on_frames(frames)
+        return bool(frames)
 
     def _sort(self, raw: bytes, frames: list[Frame]) -> None:
         if len(raw) != _CAN_FRAME.size:
@@ -130,15 +135,25 @@ class SocketcanLink:
             self._drain_timer = self._loop.call_later(COALESCE_S, self._drain)
 
     def _drain(self) -> None:
+        """While frames come, look again every `COALESCE_S`: to be woken costs more, and is no sooner."""
         self._drain_timer = None
+        if self._socket is None:
+            return
+        more = True
         try:
-            if self._socket is not None:
-                # First: whoever gets the batch must know that frames before it are missing.
-                self._count_kernel_drops(self._socket)
-            self.hand_over()
+            # First: whoever gets the batch must know that frames before it are missing.
+            self._count_kernel_drops(self._socket)
+            more = self._take()
         finally:
-            if self._socket is not None and not self._lost.done():
-                self._loop.add_reader(self._socket.fileno(), self._wake)
+            self._wait(more=more)
+
+    def _wait(self, *, more: bool) -> None:
+        if self._socket is None or self._lost.done():
+            return
+        if more:
+            self._drain_timer = self._loop.call_later(COALESCE_S, self._drain)
+        else:
+            self._loop.add_reader(self._socket.fileno(), self._wake)
 
     def _count_kernel_drops(self, raw: socket.socket) -> None:
         with contextlib.suppress(OSError, struct.error):  # kernels before 4.12 do not tell
