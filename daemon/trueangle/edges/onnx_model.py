@@ -143,6 +143,8 @@ def _session(data: bytes, where: str) -> Any:
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
     options.log_severity_level = 4
+    # An arena for each joint's model would keep as many sets of working memory out of the processor's cache.
+    options.enable_cpu_mem_arena = False
     try:
         return runtime.InferenceSession(
             data, sess_options=options, providers=["CPUExecutionProvider"], enable_fallback=False
