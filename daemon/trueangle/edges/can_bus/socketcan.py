@@ -95,13 +95,23 @@ class SocketcanLink:
         if self._socket is None:
             return False
         frames: list[Frame] = []
+        receive, cob_ids, size = self._socket.recv, self._cob_ids, _CAN_FRAME.size
         try:
             for _ in range(MAX_DRAIN_FRAMES):
-                raw = self._socket.recv(_CAN_FRAME.size)
-                if not raw:
-                    lose(self._lost, "closed by the other side")
-                    break
-                self._sort(raw, frames)
+                raw = receive(size)
+                if len(raw) != size:
+                    if not raw:
+                        lose(self._lost, "closed by the other side")
+                        break
+                    self._counters.error_frames += 1
+                    continue
+                can_id, length, data = _CAN_FRAME.unpack(raw)
+                if can_id & (_EXTENDED | _REMOTE | _ERROR):
+                    self._count_flagged(can_id, data[:length])
+                elif cob_ids is None or can_id in cob_ids:
+                    frames.append((can_id, data[:length], time.monotonic_ns()))
+                else:
+                    self._counters.foreign_frames += 1
         except BlockingIOError:
             pass
         except OSError as error:
@@ -111,19 +121,10 @@ class SocketcanLink:
             self._on_frames(frames)
         return bool(frames)
 
-    def _sort(self, raw: bytes, frames: list[Frame]) -> None:
-        if len(raw) != _CAN_FRAME.size:
+    def _count_flagged(self, can_id: int, data: bytes) -> None:
+        if can_id & _ERROR:
             self._counters.error_frames += 1
-            return
-        can_id, length, data = _CAN_FRAME.unpack(raw)
-        if not can_id & (_EXTENDED | _REMOTE | _ERROR):
-            if self._cob_ids is None or can_id in self._cob_ids:
-                frames.append((can_id, data[:length], time.monotonic_ns()))
-            else:
-                self._counters.foreign_frames += 1
-        elif can_id & _ERROR:
-            self._counters.error_frames += 1
-            self._on_error_frame(can_id & _ALL_ERRORS, data[:length])
+            self._on_error_frame(can_id & _ALL_ERRORS, data)
         elif can_id & _REMOTE:
             self._counters.remote_frames += 1
         else:
