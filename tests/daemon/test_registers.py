@@ -306,6 +306,16 @@ def test_an_image_does_not_change_when_the_next_one_is_built() -> None:
     assert first.data == before
 
 
+def test_a_detail_block_that_is_read_late_is_of_the_cycle_of_its_image() -> None:
+    register_map = RegisterMap([joint_identity()])
+    states = {1: joint_state(corrected_deg=1.0)}
+    at_once = register_map.image(cycle=1, heartbeat=1, service_status=0, states=states).read(DETAIL_1, 70)
+    late = register_map.image(cycle=1, heartbeat=1, service_status=0, states=states)
+    states[1] = joint_state(corrected_deg=2.0)
+    register_map.image(cycle=2, heartbeat=2, service_status=0, states=states).read(DETAIL_1, 70)
+    assert late.read(DETAIL_1, 70) == at_once
+
+
 def test_the_bits_of_all_invalid_slots_are_in_every_header() -> None:
     slots = tuple(range(1, 33))
     states = {slot: joint_state(status=GOOD if slot % 3 else StatusBit.CONFIGURED) for slot in slots}

@@ -86,7 +86,7 @@ class SenderWatch:
         return self._full_windows >= 2
 
     def _takes_turns(self, counts: int, stamp_ns: int) -> bool:
-        if len(self._before) < 3:
+        if len(self._before) < 3 or (self._synchronous and self._in_interval < 2):
             return False
         (a, _), (b, b_ns), (c, c_ns) = self._before
         last, near = self._distance(c, counts), self._distance(b, counts)
@@ -99,9 +99,9 @@ class SenderWatch:
             least = max(least, self._counts_per_rev * FREE_EVENT_TURN)
         if apart < least or near * ALTERNATION > apart:
             return False
-        if self._synchronous:
-            return self._in_interval >= 2
-        return self._period_ns is None or min(c_ns - b_ns, stamp_ns - c_ns) < 0.75 * self._period_ns
+        if self._synchronous or self._period_ns is None:
+            return True
+        return min(c_ns - b_ns, stamp_ns - c_ns) < 0.75 * self._period_ns
 
     def _distance(self, one: int, other: int) -> int:
         turned = (one - other) % self._counts_per_rev

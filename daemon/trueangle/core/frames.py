@@ -131,6 +131,12 @@ class FrameLayout:
     quantities: tuple[Quantity, ...]
     slots: tuple[int, ...]
     """The joint of each value."""
+    position_at: int | None
+    """Which value is the position; None: none is."""
+    sequence_at: int | None
+    """Which value is the sequence number; None: none is."""
+    others: tuple[tuple[int, Quantity], ...]
+    """Which values are neither, each with its meaning."""
 
 
 def frame_layouts(plan: NodePlan) -> dict[int, FrameLayout]:
@@ -138,14 +144,24 @@ def frame_layouts(plan: NodePlan) -> dict[int, FrameLayout]:
     layouts: dict[int, FrameLayout] = {}
     for tpdo in plan.tpdos:
         slots = tuple(slot_of(plan, mapped) for mapped in tpdo.mapping)
+        quantities = tuple(o.quantity for o in tpdo.mapping)
+        own = (Quantity.POSITION, Quantity.SEQUENCE)
         layouts[tpdo.cob_id] = FrameLayout(
             slot=plan.slot if set(slots) == {plan.slot} else None,
             length=tpdo.length,
             unpack=struct.Struct("<" + "".join(_CODES[o.bits, o.signed] for o in tpdo.mapping)),
-            quantities=tuple(o.quantity for o in tpdo.mapping),
+            quantities=quantities,
             slots=slots,
+            position_at=_last_place(quantities, Quantity.POSITION),
+            sequence_at=_last_place(quantities, Quantity.SEQUENCE),
+            others=tuple((place, quantity) for place, quantity in enumerate(quantities) if quantity not in own),
         )
     return layouts
+
+
+def _last_place(quantities: tuple[Quantity, ...], quantity: Quantity) -> int | None:
+    places = [place for place, one in enumerate(quantities) if one is quantity]
+    return places[-1] if places else None
 
 
 def slot_of(plan: NodePlan, mapped: MappedObject) -> int:

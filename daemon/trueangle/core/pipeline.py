@@ -8,7 +8,7 @@ word, the others go on.
 """
 
 import datetime
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from trueangle.core.calendar_day import is_past_due
@@ -117,15 +117,17 @@ class Pipeline:
         own = frozenset(cob_id for name, cob_id in self._table if name == bus)
         return own | self._sensors.cob_ids(bus) | {SYNC_COB_ID}
 
-    def on_frames(self, bus: str, frames: Iterable[Frame], now_ns: int) -> None:
+    def on_frames(self, bus: str, frames: Sequence[Frame], now_ns: int) -> None:
         """A batch of received frames, in order; those of other COB-IDs are passed over.
 
         The master must have seen its frames of the batch first: a node that says in it that it has rebooted is
         then out of service before a frame of its unknown new mapping could be decoded by the old one.
         """
         moved = False
-        for cob_id, data, stamp_ns in frames:
+        for place, (cob_id, data, stamp_ns) in enumerate(frames):
             if cob_id == SYNC_COB_ID:
+                if moved and not self._awaited and not self._ends_again(bus, frames, place):
+                    self._end_cycle(now_ns)
                 self.on_sync(bus, stamp_ns)
                 continue
             entry = self._table.get((bus, cob_id))
@@ -146,6 +148,23 @@ class Pipeline:
                 self._on_two_senders(joint, head, now_ns)
         if moved and not self._awaited:
             self._end_cycle(now_ns)
+
+    def _ends_again(self, bus: str, frames: Sequence[Frame], sync_at: int) -> bool:
+        """Whether another cycle ends in these frames behind this SYNC: nobody could read the one before it."""
+        answered: set[int] = set()
+        for place in range(sync_at + 1, len(frames)):
+            cob_id = frames[place][0]
+            if cob_id == SYNC_COB_ID:
+                return True
+            entry = self._table.get((bus, cob_id))
+            if entry is not None and entry[2].position_at is not None:
+                answered.add(entry[1].key)
+        return all(
+            head.key in answered
+            for joint in self._joints.values()
+            for head in joint.heads
+            if joint.channel.bus == bus and head.synchronous and head.fresh
+        )
 
     def on_sync(self, bus: str, now_ns: int) -> None:
         """SYNC on this bus, sent by us or by another node: a cycle that has not ended yet ends here."""

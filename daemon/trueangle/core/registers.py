@@ -1,8 +1,9 @@
-"""From joint states to the register image: one immutable `bytes` per cycle.
+"""From joint states to the register image: one immutable image per cycle.
 
 Rules of this file: a register never holds a number that is not known. What is missing, not finite or out of the
 register's range is served as the marker of its type; a corrected angle is served only with one of VALID, HELD and
-RAW_SERVED, and none of them without a corrected angle.
+RAW_SERVED, and none of them without a corrected angle. The fast blocks are packed every cycle; a detail block only
+when somebody reads it, from the same states, so that all that is read of one image is of one cycle.
 """
 
 import datetime
@@ -28,7 +29,6 @@ from trueangle.core.register_fields import (
     MAP_VERSION,
     SLOTS,
     RegisterType,
-    detail_address,
     fast_slot_offset,
     group_of,
     struct_format,
@@ -129,26 +129,59 @@ class JointIdentity:
                 raise ValueError(f"slot {self.slot}: {name}: expected 0..0xFFFFFFFF, got {number}")
 
 
-@dataclass(frozen=True, slots=True)
 class RegisterImage:
-    """All registers of one cycle; reading never changes it."""
+    """All registers of one cycle; reading never changes what is read."""
 
-    data: bytes
-    """The served blocks, one behind the other."""
-    starts: tuple[int, ...]
-    """Start of block b (0-based address 100 * b) in `data`, in bytes; -1: not served."""
+    __slots__ = ("_cycle", "_details", "_fast", "_joints", "_starts", "_states")
+
+    def __init__(
+        self,
+        fast: bytes,
+        starts: tuple[int, ...],
+        *,
+        cycle: int,
+        joints: "Mapping[int, _FixedPart]",
+        states: Mapping[int, JointState],
+    ) -> None:
+        """`fast`: the fast blocks, one behind the other; `starts`: where each begins, -1: not served."""
+        self._fast, self._starts = fast, starts
+        self._cycle, self._joints, self._states = cycle, joints, states
+        self._details: dict[int, bytes] = {}
+
+    @property
+    def data(self) -> bytes:
+        """The served blocks, one behind the other."""
+        return self._fast + b"".join(self._detail(slot) for slot in self._joints)
 
     def read(self, address: int, count: int) -> bytes | None:
         """The bytes of `count` registers from 0-based `address`; None if they are not all of one served block."""
         block, offset = divmod(address, BLOCK_STRIDE)
-        if count < 1 or not 0 <= block < len(self.starts):
+        if count < 1 or block < 0:
             return None
-        start = self.starts[block]
-        length = FAST_REGISTERS if block < FIRST_DETAIL_BLOCK else DETAIL_REGISTERS
-        if start < 0 or offset + count > length:
+        if block < FIRST_DETAIL_BLOCK:
+            start = self._starts[block]
+            if start < 0 or offset + count > FAST_REGISTERS:
+                return None
+            begin = start + 2 * offset
+            return self._fast[begin : begin + 2 * count]
+        slot = block - FIRST_DETAIL_BLOCK + 1
+        if slot not in self._joints or offset + count > DETAIL_REGISTERS:
             return None
-        begin = start + 2 * offset
-        return self.data[begin : begin + 2 * count]
+        return self._detail(slot)[2 * offset : 2 * (offset + count)]
+
+    def _detail(self, slot: int) -> bytes:
+        packed = self._details.get(slot)
+        if packed is None:
+            state = self._states.get(slot, _UNKNOWN)
+            packed = self._details[slot] = _packed_detail(self._cycle, self._joints[slot], state)
+        return packed
+
+
+class _FixedPart(NamedTuple):
+    """What does not change in a joint's detail block."""
+
+    node_id: int
+    identity: bytes
 
 
 class RegisterMap:
@@ -163,19 +196,17 @@ class RegisterMap:
                     f"slot {identity.slot}: expected one joint, got two; give each joint its own slot"
                 )
             by_slot[identity.slot] = identity
-        self._identities = by_slot
-        self._node_ids = {slot: by_slot[slot].node_id for slot in sorted(by_slot)}
-        self._template, self._starts = _template(by_slot)
-        self._fast_at = {
-            slot: self._starts[group_of(slot)] + 2 * fast_slot_offset(slot) for slot in self._node_ids
+        self._joints = {
+            slot: _FixedPart(by_slot[slot].node_id, _identity_bytes(by_slot[slot])) for slot in sorted(by_slot)
         }
-        self._detail_at = {slot: self._starts[detail_address(slot) // BLOCK_STRIDE] for slot in self._node_ids}
+        self._template, self._starts = _fast_template(by_slot)
+        self._fast_at = {slot: self._starts[group_of(slot)] + 2 * fast_slot_offset(slot) for slot in self._joints}
         self._groups_at = [self._starts[group] for group in sorted({group_of(slot) for slot in by_slot})]
 
     @property
     def slots(self) -> tuple[int, ...]:
         """The configured slots, ascending."""
-        return tuple(self._node_ids)
+        return tuple(self._joints)
 
     def image(
         self, *, cycle: int, heartbeat: int, service_status: int, states: Mapping[int, JointState]
@@ -186,23 +217,23 @@ class RegisterMap:
         without ALL_VALID when a corrected angle is withheld here. Raises ValueError for a state of a slot that is
         not configured.
         """
-        if not states.keys() <= self._node_ids.keys():
+        if not states.keys() <= self._joints.keys():
             raise ValueError(f"slots: expected states of {self.slots}, got one of {sorted(states)}")
         cycle &= 0xFFFF_FFFF
         buffer = bytearray(self._template)
         not_valid = 0
-        for slot, node_id in self._node_ids.items():
-            state = states.get(slot, _UNKNOWN)
-            if not _pack_joint(buffer, self._fast_at[slot], self._detail_at[slot], cycle, node_id, state):
+        for slot, fast_at in self._fast_at.items():
+            if not _pack_fast(buffer, fast_at, states.get(slot, _UNKNOWN)):
                 not_valid |= 1 << slot - 1
         service_status &= 0xFFFF & ~_ALL_VALID if not_valid else 0xFFFF
-        joints = len(self._node_ids)
+        joints = len(self._joints)
         for start in self._groups_at:
             _HEADER.pack_into(
                 buffer, start, MAP_VERSION, joints, cycle, heartbeat & 0xFFFF, not_valid, service_status
             )
             _FAST_TAIL.pack_into(buffer, start + 2 * FAST_REGISTERS - _FAST_TAIL.size, cycle)
-        return RegisterImage(bytes(buffer), self._starts)
+        # A copy: whoever made the states may go on with the mapping.
+        return RegisterImage(bytes(buffer), self._starts, cycle=cycle, joints=self._joints, states=dict(states))
 
 
 _UNKNOWN = JointState(
@@ -222,43 +253,37 @@ _UNKNOWN = JointState(
 )
 
 
-def _pack_joint(
-    buffer: bytearray, fast_at: int, detail_at: int, cycle: int, node_id: int, state: JointState
-) -> bool:
-    """Write one joint's live registers; True if its corrected angle is served."""
-    status = int(state.status) & 0xFFFF_FFFF | _CONFIGURED
-    if status & _VALID:
-        status &= ~_STAND_INS
-    shown = status & (_VALID | _STAND_INS)
-    corrected_mas, corrected_deg, corrected_f32, _ = _angle(state.corrected_deg) if shown else _NO_ANGLE
-    if corrected_mas == _NO_INT32:
-        status &= _NO_ANGLE_BITS
-    raw_mas, raw_deg, raw_f32, carry = _angle(state.raw_deg)
-    sequence = _NO_UINT16 if state.sequence is None else state.sequence & 0xFFFF
-    correction_arcsec = _float32(state.correction_arcsec)
-    temperature_c = _float32(state.temperature_c)
-    uncertainty_arcsec = _unsigned(state.uncertainty_arcsec)
-    age_ms = _unsigned(state.age_ms)
+def _pack_fast(buffer: bytearray, at: int, state: JointState) -> bool:
+    """Write one joint's part of a fast block; True if its corrected angle is served as valid."""
+    status, corrected = _shown(state)
+    correction_arcsec, temperature_c = _float32(state.correction_arcsec), _float32(state.temperature_c)
+    uncertainty_arcsec, age_ms = _unsigned(state.uncertainty_arcsec), _unsigned(state.age_ms)
     # Comparisons with NaN are false: what is not known takes the marker.
     _FAST.pack_into(
         buffer,
-        fast_at,
+        at,
         status,
-        sequence,
-        corrected_mas,
-        raw_mas,
+        _sequence(state.sequence),
+        corrected[0],
+        _angle(state.raw_deg)[0],
         round(correction_arcsec * 1e3) if -2.147e6 < correction_arcsec < 2.147e6 else _NO_INT32,
         round(temperature_c * 1e2) if -327.67 <= temperature_c <= 327.67 else _NO_INT16,
         _NO_UINT16 if age_ms != age_ms else round(min(age_ms, 65534.0)),
         _NO_UINT16 if uncertainty_arcsec != uncertainty_arcsec else round(min(uncertainty_arcsec * 1e2, 65534.0)),
     )
-    _LIVE.pack_into(
-        buffer,
-        detail_at,
+    return status & _VALID != 0
+
+
+def _packed_detail(cycle: int, fixed: _FixedPart, state: JointState) -> bytes:
+    """One joint's detail block."""
+    status, (corrected_mas, corrected_deg, corrected_f32, _) = _shown(state)
+    raw_mas, raw_deg, raw_f32, carry = _angle(state.raw_deg)
+    age_ms = _unsigned(state.age_ms)
+    live = _LIVE.pack(
         cycle,
         status,
-        sequence,
-        node_id,
+        _sequence(state.sequence),
+        fixed.node_id,
         corrected_mas,
         corrected_deg,
         corrected_f32,
@@ -267,24 +292,31 @@ def _pack_joint(
         raw_f32,
         _float32(state.velocity_deg_s),
         _turns(state.turns, carry),
-        temperature_c,
-        correction_arcsec,
-        uncertainty_arcsec,
+        _float32(state.temperature_c),
+        _float32(state.correction_arcsec),
+        _unsigned(state.uncertainty_arcsec),
         _NO_UINT32 if age_ms != age_ms else round(min(age_ms, 4294967294.0)),
         _counts(state.raw_counts),
         state.frames_received & 0xFFFF_FFFF,
         state.frames_lost & 0xFFFF_FFFF,
     )
-    if state.user_zero_deg:
-        _USER.pack_into(buffer, detail_at + _LIVE.size + _IDENTITY.size, _angle(state.user_zero_deg)[0])
-    _DETAIL_TAIL.pack_into(buffer, detail_at + 2 * DETAIL_REGISTERS - _DETAIL_TAIL.size, cycle)
-    return status & _VALID != 0
+    return live + fixed.identity + _USER.pack(_angle(state.user_zero_deg)[0]) + _DETAIL_TAIL.pack(cycle)
 
 
-_NO_ANGLE = (_NO_INT32, _NAN, _NAN, 0)
+def _shown(state: JointState) -> "tuple[int, _Angle]":
+    """The status word as served, and the corrected angle that it lets be seen."""
+    status = int(state.status) & 0xFFFF_FFFF | _CONFIGURED
+    if status & _VALID:
+        status &= ~_STAND_INS
+    corrected = _angle(state.corrected_deg) if status & (_VALID | _STAND_INS) else _NO_ANGLE
+    return status if corrected[0] != _NO_INT32 else status & _NO_ANGLE_BITS, corrected
 
 
-def _angle(angle_deg: float | None) -> tuple[int, float, float, int]:
+_Angle = tuple[int, float, float, int]
+_NO_ANGLE: _Angle = (_NO_INT32, _NAN, _NAN, 0)
+
+
+def _angle(angle_deg: float | None) -> _Angle:
     """Milli-arcseconds, degrees for FLOAT64, degrees for FLOAT32, and the whole turns taken off.
 
     The float is the angle from which the integer was rounded, so |float64 * 3.6e6 - int32| <= 0.5; where the
@@ -316,6 +348,10 @@ def _unsigned(number: float | None) -> float:
     return number if number is not None and 0.0 <= number < _FLOAT32_BOUND else _NAN
 
 
+def _sequence(sequence: int | None) -> int:
+    return _NO_UINT16 if sequence is None else sequence & 0xFFFF
+
+
 def _turns(turns: int | None, carry: int) -> int:
     if turns is None:
         return _NO_INT32
@@ -327,19 +363,16 @@ def _counts(counts: int | None) -> int:
     return counts if counts is not None and 0 <= counts <= 0xFFFF_FFFF else _NO_UINT32
 
 
-def _template(identities: Mapping[int, JointIdentity]) -> tuple[bytes, tuple[int, ...]]:
-    """All served blocks with identities, markers in the empty slots of a group; and where each block starts."""
+def _fast_template(slots: Iterable[int]) -> tuple[bytes, tuple[int, ...]]:
+    """The fast blocks with markers in all their slots; and where each of the possible blocks starts."""
     missing = tuple(field.type.missing for field in FAST_SLOT)
     empty_slot = _FAST.pack(0, *missing[1:])
-    starts = [-1] * (FIRST_DETAIL_BLOCK + SLOTS)
+    starts = [-1] * FIRST_DETAIL_BLOCK
     blocks = bytearray()
-    for group in sorted({group_of(slot) for slot in identities}):
+    for group in sorted({group_of(slot) for slot in slots}):
         starts[group] = len(blocks)
         slots_bytes = 2 * FAST_REGISTERS - _HEADER.size - _FAST_TAIL.size
         blocks += bytes(_HEADER.size) + empty_slot * (slots_bytes // _FAST.size) + bytes(_FAST_TAIL.size)
-    for slot in sorted(identities):
-        starts[detail_address(slot) // BLOCK_STRIDE] = len(blocks)
-        blocks += bytes(_LIVE.size) + _identity_bytes(identities[slot]) + bytes(_USER.size + _DETAIL_TAIL.size)
     return bytes(blocks), tuple(starts)
 
 

@@ -104,18 +104,16 @@ class JointSample:
 
     def take(self, layout: FrameLayout, data: bytes, received_ns: int, syncs: SyncHistory) -> bool:
         """Decode one frame of the right length; True when a new position came with it."""
-        position: int | None = None
-        sequence: int | None = None
-        for quantity, value in zip(layout.quantities, layout.unpack.unpack(data), strict=True):
-            if quantity is Quantity.POSITION:
-                position = value
-            elif quantity is Quantity.SEQUENCE:
-                sequence = value
-            else:
-                self.take_value(quantity, value, received_ns)
-        if position is not None and self.watch.on_position(position, received_ns):
+        values = layout.unpack.unpack(data)
+        for place, quantity in layout.others:
+            self.take_value(quantity, values[place], received_ns)
+        if layout.position_at is None:
+            return False
+        position: int = values[layout.position_at]
+        sequence: int | None = None if layout.sequence_at is None else values[layout.sequence_at]
+        if self.watch.on_position(position, received_ns):
             self.two_senders = True
-        if position is None or not self._is_new(sequence):
+        if not self._is_new(sequence):
             return False
         self.position.move_to(position, self._sample_time.stamp_ns(self._sample_number, syncs, received_ns))
         return True

@@ -7,6 +7,7 @@ first angle is served. Nothing of a graph is ever edited here.
 import hashlib
 import math
 import os
+from array import array
 from pathlib import Path
 from typing import Any, cast
 
@@ -64,14 +65,15 @@ class _OneSample:
 
     def __init__(self, session: Any, outputs: list[str]) -> None:
         self._session = session
-        self._angle_deg, self._temperature_c = np.zeros(1), np.zeros(1)
-        self._answers = [np.full(1, np.nan) for _ in outputs]
+        # array and not NumPy: to write and read single numbers is all that is done with them.
+        self._angle_deg, self._temperature_c = array("d", [0.0]), array("d", [0.0])
+        self._answers = [array("d", [math.nan]) for _ in outputs]
         self._binding = session.io_binding()
         memory = (self._angle_deg, self._temperature_c)
-        for name, array in zip((ANGLE_INPUT, TEMPERATURE_INPUT), memory, strict=True):
-            self._binding.bind_input(name, "cpu", 0, np.float64, (1,), array.ctypes.data)
-        for name, array in zip(outputs, self._answers, strict=True):
-            self._binding.bind_output(name, "cpu", 0, np.float64, (1,), array.ctypes.data)
+        for name, one in zip((ANGLE_INPUT, TEMPERATURE_INPUT), memory, strict=True):
+            self._binding.bind_input(name, "cpu", 0, np.float64, (1,), one.buffer_info()[0])
+        for name, one in zip(outputs, self._answers, strict=True):
+            self._binding.bind_output(name, "cpu", 0, np.float64, (1,), one.buffer_info()[0])
 
     def run(self, raw_deg: float, temperature_c: float) -> Correction:
         self._angle_deg[0], self._temperature_c[0] = raw_deg, temperature_c
@@ -82,8 +84,7 @@ class _OneSample:
             self._session.run_with_iobinding(self._binding)
         except Exception:  # noqa: BLE001 - ONNX Runtime's own exceptions derive from Exception alone
             return Correction(math.nan, None)
-        numbers = [answer.item() for answer in self._answers]
-        return Correction(numbers[0], numbers[1] if len(numbers) > 1 else None)
+        return Correction(self._answers[0][0], self._answers[1][0] if len(self._answers) > 1 else None)
 
 
 def load_model(path: Path, *, pinned_sha256: str | None = None) -> OnnxModel:
@@ -143,6 +144,8 @@ def _session(data: bytes, where: str) -> Any:
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
     options.log_severity_level = 4
+    # An arena for each joint's model would keep as many sets of working memory out of the processor's cache.
+    options.enable_cpu_mem_arena = False
     try:
         return runtime.InferenceSession(
             data, sess_options=options, providers=["CPUExecutionProvider"], enable_fallback=False

@@ -6,7 +6,7 @@ were keeps its samples and its node.
 
 import logging
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 from trueangle.config import DaemonConfig
 from trueangle.contract.encoder import EncoderSettings
@@ -129,7 +129,7 @@ class Arrangement:
         """The COB-IDs on this bus that are the pipeline's."""
         return self._process_data[bus]
 
-    def on_frames(self, bus: str, frames: Iterable[Frame]) -> None:
+    def on_frames(self, bus: str, frames: Sequence[Frame]) -> None:
         """A batch of frames; the master has seen those that are its own."""
         self.pipeline.on_frames(bus, frames, time.monotonic_ns())
 

@@ -88,16 +88,30 @@ class SocketcanLink:
 
     def hand_over(self) -> None:
         """Read everything that is there and hand it on as one batch."""
+        self._take()
+
+    def _take(self) -> bool:
+        """The same; False where nothing was there that anybody listens to."""
         if self._socket is None:
-            return
+            return False
         frames: list[Frame] = []
+        receive, cob_ids, size = self._socket.recv, self._cob_ids, _CAN_FRAME.size
         try:
             for _ in range(MAX_DRAIN_FRAMES):
-                raw = self._socket.recv(_CAN_FRAME.size)
-                if not raw:
-                    lose(self._lost, "closed by the other side")
-                    break
-                self._sort(raw, frames)
+                raw = receive(size)
+                if len(raw) != size:
+                    if not raw:
+                        lose(self._lost, "closed by the other side")
+                        break
+                    self._counters.error_frames += 1
+                    continue
+                can_id, length, data = _CAN_FRAME.unpack(raw)
+                if can_id & (_EXTENDED | _REMOTE | _ERROR):
+                    self._count_flagged(can_id, data[:length])
+                elif cob_ids is None or can_id in cob_ids:
+                    frames.append((can_id, data[:length], time.monotonic_ns()))
+                else:
+                    self._counters.foreign_frames += 1
         except BlockingIOError:
             pass
         except OSError as error:
@@ -105,20 +119,12 @@ class SocketcanLink:
         if frames:
             self._counters.frames += len(frames)
             self._on_frames(frames)
+        return bool(frames)
 
-    def _sort(self, raw: bytes, frames: list[Frame]) -> None:
-        if len(raw) != _CAN_FRAME.size:
+    def _count_flagged(self, can_id: int, data: bytes) -> None:
+        if can_id & _ERROR:
             self._counters.error_frames += 1
-            return
-        can_id, length, data = _CAN_FRAME.unpack(raw)
-        if not can_id & (_EXTENDED | _REMOTE | _ERROR):
-            if self._cob_ids is None or can_id in self._cob_ids:
-                frames.append((can_id, data[:length], time.monotonic_ns()))
-            else:
-                self._counters.foreign_frames += 1
-        elif can_id & _ERROR:
-            self._counters.error_frames += 1
-            self._on_error_frame(can_id & _ALL_ERRORS, data[:length])
+            self._on_error_frame(can_id & _ALL_ERRORS, data)
         elif can_id & _REMOTE:
             self._counters.remote_frames += 1
         else:
@@ -130,15 +136,25 @@ class SocketcanLink:
             self._drain_timer = self._loop.call_later(COALESCE_S, self._drain)
 
     def _drain(self) -> None:
+        """While frames come, look again every `COALESCE_S`: to be woken costs more, and is no sooner."""
         self._drain_timer = None
+        if self._socket is None:
+            return
+        more = True
         try:
-            if self._socket is not None:
-                # First: whoever gets the batch must know that frames before it are missing.
-                self._count_kernel_drops(self._socket)
-            self.hand_over()
+            # First: whoever gets the batch must know that frames before it are missing.
+            self._count_kernel_drops(self._socket)
+            more = self._take()
         finally:
-            if self._socket is not None and not self._lost.done():
-                self._loop.add_reader(self._socket.fileno(), self._wake)
+            self._wait(more=more)
+
+    def _wait(self, *, more: bool) -> None:
+        if self._socket is None or self._lost.done():
+            return
+        if more:
+            self._drain_timer = self._loop.call_later(COALESCE_S, self._drain)
+        else:
+            self._loop.add_reader(self._socket.fileno(), self._wake)
 
     def _count_kernel_drops(self, raw: socket.socket) -> None:
         with contextlib.suppress(OSError, struct.error):  # kernels before 4.12 do not tell
