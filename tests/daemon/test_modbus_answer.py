@@ -26,7 +26,7 @@ def feed(stream: ModbusTcpStream, data: bytes, image: RegisterImage | None = IMA
     """Hand over the bytes as a socket would: as many as fit, at most `step` at a time."""
     answers = b""
     while data and stream.broken is None:
-        space = stream.free_space()
+        space = stream.space
         take = min(step, len(space), len(data))
         assert take > 0
         space[:take] = data[:take]
@@ -138,15 +138,15 @@ def test_pipelined_requests_are_all_answered_in_order_however_they_are_cut(step:
 def test_one_read_of_the_buffer_answers_no_more_than_it_holds() -> None:
     stream = new_stream()
     requests = read_request(4, 0, 84, unit=0) * 30
-    assert len(stream.free_space()) == 260
-    stream.free_space()[:] = requests[:260]
+    assert len(stream.space) == 260
+    stream.space[:] = requests[:260]
     assert len(split_frames(stream.answer(260, IMAGE, 0))) == 21
 
 
 def test_requests_and_exceptions_are_counted() -> None:
     stream = new_stream()
     feed(stream, read_request(4, 0, 1, unit=0) + read_request(4, 0, 0, unit=0) + read_request(4, 0, 1, unit=9))
-    assert (stream.requests, stream.exceptions) == (3, 2)
+    assert (stream.counts.requests, stream.counts.exceptions) == (3, 2)
 
 
 def test_exception_codes_are_those_of_the_specification_as_pymodbus_has_them() -> None:
@@ -277,4 +277,4 @@ def test_any_bytes_in_any_pieces_are_answered_as_the_specification_says(data: by
     frames, good = expected_answers(data)
     assert answers == b"".join(frames)
     assert (stream.broken is None) == good
-    assert stream.requests == len(frames)
+    assert stream.counts.requests == len(frames)
