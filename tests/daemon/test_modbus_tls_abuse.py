@@ -1,4 +1,4 @@
-"""Modbus/TCP Security against clients that stretch it: odd records, odd certificates, handshakes again and slowly."""
+"""Modbus/TCP Security against clients that stretch it: odd records and certificates, slow and repeated handshakes."""
 
 import asyncio
 import shutil
@@ -6,7 +6,6 @@ import ssl
 import subprocess
 from contextlib import suppress
 from ipaddress import ip_network
-from pathlib import Path
 
 import pytest
 from tests.daemon.test_modbus_server import cycle_of, until
