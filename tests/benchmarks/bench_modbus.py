@@ -1,12 +1,17 @@
-"""FC 04 x 40 registers on the loopback: libmodbus (C), trueangled's server, stock pymodbus; interleaved rounds.
+"""FC 04 x 40 registers on the loopback: libmodbus (C), trueangled's server plain and with TLS, stock pymodbus.
 
-Run as `python tests/benchmarks/bench_modbus.py`. The load is one separate process (C where gcc is there, else a
-slower one in Python), bounded in requests and time. Without libmodbus's headers the yardstick is left out, and it
-says so. Ratios of one run mean something; absolute figures belong to the machine.
+Run as `python -m tests.benchmarks modbus`; rounds are interleaved. The load is one separate process (C where gcc
+is there, else a slower one in Python), bounded in requests and time; its own mutual TLS 1.3 counts as well, and
+every ratio is to libmodbus without TLS. Each transport runs on asyncio, which trueangled uses, and on uvloop where
+that is installed. What is missing is left out, and it says so. Ratios of one run mean something; absolute figures
+belong to the machine.
 """
 
 import argparse
 import asyncio
+import importlib
+import importlib.util
+import logging
 import os
 import shutil
 import socket
@@ -27,6 +32,7 @@ COUNT = 40
 ANSWER_BYTES = 9 + 2 * COUNT
 TIME_LIMIT_S = 10.0
 YARDSTICK = "libmodbus (C)"
+LOOPS = ("asyncio", "uvloop")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,6 +46,25 @@ class Round:
     """User and system time of the server for one request."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Files:
+    """Certificates of one plant, made for this run."""
+
+    authority: str
+    server: tuple[str, str]
+    client: tuple[str, str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measured:
+    """A running server and how it is loaded."""
+
+    pid: int
+    load: list[str]
+    load_files: tuple[str, ...]
+    port: int
+
+
 def main() -> None:
     """Measure and print, or, with --serve or --load, be one of the processes."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -47,10 +72,15 @@ def main() -> None:
     parser.add_argument("--requests", type=int, default=20_000, help="requests in each round")
     parser.add_argument("--clients", type=int, nargs="+", default=[1, 8])
     parser.add_argument("--serve", choices=["trueangle", "pymodbus"], help=argparse.SUPPRESS)
+    parser.add_argument("--loop", choices=LOOPS, default=LOOPS[0], help=argparse.SUPPRESS)
+    parser.add_argument("--tls", nargs=3, default=[], help=argparse.SUPPRESS)
     parser.add_argument("--load", nargs=4, help=argparse.SUPPRESS)
     options = parser.parse_args()
-    if options.serve:
-        asyncio.run({"trueangle": serve_trueangle, "pymodbus": serve_pymodbus}[options.serve]())
+    if options.serve == "trueangle":
+        with asyncio.Runner(loop_factory=loop_factory(options.loop)) as runner:
+            runner.run(serve_trueangle(options.tls))
+    elif options.serve:
+        asyncio.run(serve_pymodbus())
     elif options.load:
         port, clients, requests, limit_s = options.load
         load_in_python(int(port), int(clients), int(requests), float(limit_s))
@@ -68,21 +98,58 @@ def measure(rounds: int, requests: int, client_counts: list[int]) -> None:
         yardstick = compiled(build, "libmodbus_server.c", "-I/usr/include/modbus", "-lmodbus")
         if yardstick is None:
             print("no gcc or no libmodbus (apt: libmodbus-dev): measured without the yardstick")
-        commands = {
-            **({YARDSTICK: yardstick} if yardstick else {}),
-            "trueangled": [sys.executable, __file__, "--serve", "trueangle"],
-            "pymodbus stock": [sys.executable, __file__, "--serve", "pymodbus"],
-        }
-        servers = {name: stack.enter_context(running(command)) for name, command in commands.items()}
+        loops = [name for name in LOOPS if importlib.util.find_spec(name) is not None]
+        if "uvloop" not in loops:
+            print("uvloop is not installed: measured on asyncio alone")
+        tls_load = compiled(build, "modbus_load.c", "-DWITH_TLS", "-lssl", "-lcrypto")
+        files = None if tls_load is None else certificates(build)
+        if files is None:
+            print("no gcc, libssl (apt: libssl-dev) or openssl command: TLS is not measured")
+        ours = [sys.executable, __file__, "--serve", "trueangle", "--loop"]
+        servers: dict[str, Measured] = {}
+
+        def run(name: str, command: list[str], load: list[str], *load_files: str) -> None:
+            pid, port = stack.enter_context(running(command))
+            servers[name] = Measured(pid=pid, port=port, load=load, load_files=load_files)
+
+        if yardstick is not None:
+            run(YARDSTICK, yardstick, load)
+        for loop in loops:
+            run(f"plain, {loop}", [*ours, loop], load)
+        for loop in loops:
+            if tls_load is not None and files is not None:
+                command = [*ours, loop, "--tls", *files.server, files.authority]
+                run(f"TLS 1.3, {loop}", command, tls_load, files.authority, *files.client)
+        run("pymodbus stock", [sys.executable, __file__, "--serve", "pymodbus"], load)
         for clients in client_counts:
             results: dict[str, list[Round]] = defaultdict(list)
             for number in range(rounds + 1):
-                for name, (pid, port) in servers.items():
-                    one = run_load(load, pid, port, clients, requests)
+                for name, server in servers.items():
+                    one = run_load(server, clients, requests)
                     # The first round warms caches and the interpreter.
                     if number:
                         results[name].append(one)
             print_results(clients, results)
+
+
+def certificates(build: Path) -> Files | None:
+    """An authority, a server and a client; None without the openssl command."""
+    if shutil.which("openssl") is None:
+        return None
+    from tests.fakes.certificates import Authority
+
+    authority = Authority(build, "plant")
+    server, client = authority.issue("server", "subjectAltName=IP:127.0.0.1"), authority.issue("client")
+    return Files(
+        authority=str(authority.certificate),
+        server=(str(server.certificate), str(server.key)),
+        client=(str(client.certificate), str(client.key)),
+    )
+
+
+def loop_factory(name: str) -> Callable[[], asyncio.AbstractEventLoop]:
+    """Makes the event loop of this name."""
+    return importlib.import_module(name).new_event_loop
 
 
 def compiled(build: Path, source: str, *options: str) -> list[str] | None:
@@ -108,13 +175,14 @@ def running(command: list[str]) -> Iterator[tuple[int, int]]:
         process.stdin.close()
 
 
-def run_load(load: list[str], pid: int, port: int, clients: int, requests: int) -> Round:
+def run_load(server: Measured, clients: int, requests: int) -> Round:
     """One round; the server's processor time is taken around it."""
-    before_s = cpu_s(pid)
-    command = [*load, str(port), str(clients), str(requests), str(TIME_LIMIT_S)]
+    before_s = cpu_s(server.pid)
+    numbers = (server.port, clients, requests, TIME_LIMIT_S)
+    command = [*server.load, *map(str, numbers), *server.load_files]
     printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
     done, seconds, p50_us, p99_us = int(printed[0]), float(printed[1]), float(printed[2]), float(printed[3])
-    used_s = cpu_s(pid) - before_s
+    used_s = cpu_s(server.pid) - before_s
     return Round(requests_per_s=done / seconds, p50_us=p50_us, p99_us=p99_us, server_cpu_us=used_s / done * 1e6)
 
 
@@ -125,12 +193,16 @@ def cpu_s(pid: int) -> float:
 
 
 def print_results(clients: int, results: dict[str, list[Round]]) -> None:
-    """One line a server: medians, spread, and the median of the ratios within each round."""
+    """One line a server: medians, spread, the median of the ratios within each round, and the ratio of the p50.
+
+    Each client waits for its answer, so rates go as one through the latency; the p50 shows less of what else runs
+    on the machine.
+    """
     print(f"\n{clients} client(s), FC 04 x {COUNT}, median of {len(next(iter(results.values())))} rounds")
     for name, rounds in results.items():
         rates = [one.requests_per_s for one in rounds]
         line = (
-            f"  {name:15s} {statistics.median(rates):8.0f} requests/s ({min(rates):.0f}..{max(rates):.0f})"
+            f"  {name:16s} {statistics.median(rates):8.0f} requests/s ({min(rates):.0f}..{max(rates):.0f})"
             f"  p50 {statistics.median(one.p50_us for one in rounds):6.0f} us"
             f"  p99 {statistics.median(one.p99_us for one in rounds):6.0f} us"
             f"  server CPU {statistics.median(one.server_cpu_us for one in rounds):5.1f} us/request"
@@ -140,7 +212,10 @@ def print_results(clients: int, results: dict[str, list[Round]]) -> None:
                 ours.requests_per_s / theirs.requests_per_s
                 for ours, theirs in zip(rounds, results[YARDSTICK], strict=True)
             ]
-            line += f"  ratio {statistics.median(ratios):.2f}"
+            by_p50 = statistics.median(one.p50_us for one in results[YARDSTICK]) / statistics.median(
+                one.p50_us for one in rounds
+            )
+            line += f"  ratio {statistics.median(ratios):.2f}, by p50 {by_p50:.2f}"
         print(line)
 
 
@@ -150,13 +225,21 @@ async def serve_until_stdin_closes(start: Callable[[], Awaitable[int]]) -> None:
     await asyncio.to_thread(sys.stdin.read)
 
 
-async def serve_trueangle() -> None:
-    """The daemon's server with the image of six joints."""
-    from bench_registers import joint_states, register_map
+async def serve_trueangle(tls_files: list[str]) -> None:
+    """The daemon's server with the image of six joints; with certificate, key and authority TLS alone."""
+    from tests.benchmarks.bench_registers import joint_states, register_map
 
-    from trueangle.edges.modbus_server import ModbusTcpServer
+    from trueangle.config import TlsConfig
+    from trueangle.edges.modbus_server import ModbusTcpServer, load_tls
+    from trueangle.edges.modbus_server.server import Listener
 
-    server = ModbusTcpServer("127.0.0.1", 0, 1)
+    tls = None
+    if tls_files:
+        certificate, key, authority = tls_files
+        config = TlsConfig(certificate=certificate, private_key=key, client_ca=authority)
+        settings = load_tls(config, base=Path("/"), credentials=None, source="benchmark")
+        tls = Listener(host="127.0.0.1", port=0, tls=settings)
+    server = ModbusTcpServer("127.0.0.1", 0, 1, plain=tls is None, tls=tls)
     server.publish(
         register_map(6).image(cycle=1, heartbeat=1, service_status=1, states=joint_states(6)),
     )
@@ -169,6 +252,8 @@ async def serve_pymodbus() -> None:
     from pymodbus.server import ModbusTcpServer
     from pymodbus.simulator import DataType, SimData, SimDevice
 
+    # It logs its last frames as an error whenever a client leaves.
+    logging.disable(logging.CRITICAL)
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]

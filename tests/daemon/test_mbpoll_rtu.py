@@ -32,7 +32,7 @@ def over_rtu(unit: int, *options: str) -> str:
         config = RtuConfig(
             device=ours.device, baudrate=115_200, parity=Parity.NONE, unit_id=UNIT_ID, silence_ms=10.0
         )
-        server = ModbusRtuServer(config, lambda: IMAGE, Identification(revision="1"))
+        server = ModbusRtuServer(config, lambda _: IMAGE, Identification(revision="1"))
         server.start()
         line = ("-m", "rtu", "-b", "115200", "-P", "none", "-a", str(unit), "-0", "-1", "-B", "-o", "2")
         command = ["mbpoll", *line, *options, theirs.device]

@@ -26,7 +26,7 @@ def feed(stream: ModbusTcpStream, data: bytes, image: RegisterImage | None = IMA
     """Hand over the bytes as a socket would: as many as fit, at most `step` at a time."""
     answers = b""
     while data and stream.broken is None:
-        space = stream.free_space()
+        space = stream.space
         take = min(step, len(space), len(data))
         assert take > 0
         space[:take] = data[:take]
@@ -115,6 +115,7 @@ def test_a_header_that_cannot_be_right_ends_the_stream_after_the_requests_before
     answers = feed(stream, good + bytes.fromhex(header) + good)
     assert len(split_frames(answers)) == 1
     assert stream.broken is not None
+    stream.space[:12] = good
     assert stream.answer(12, IMAGE, 0) == b""
 
 
@@ -135,18 +136,47 @@ def test_pipelined_requests_are_all_answered_in_order_however_they_are_cut(step:
     assert [one[9:] for one in frames] == [IMAGE.read(number % 80, 2) for number in range(100)]
 
 
+def test_reads_of_one_request_s_length_that_are_out_of_step_with_the_requests_lose_none() -> None:
+    stream = new_stream()
+    numbers = [0x0101 * number for number in range(9)]
+    data = b"".join(read_request(4, 2, 2, transaction=number, unit=0) for number in numbers)
+    answers = feed(stream, data[:1]) + feed(stream, data[1:], step=12)
+    assert [int.from_bytes(one[:2], "big") for one in split_frames(answers)] == numbers
+
+
+def test_a_stream_that_ended_with_its_buffer_full_still_has_room_for_what_nobody_reads() -> None:
+    stream = new_stream()
+    feed(stream, b"\xff" * 260)
+    assert stream.broken is not None
+    assert len(stream.space) > 0
+
+
+class Everything:
+    """Registers without a border."""
+
+    def read(self, address: int, count: int) -> bytes:
+        return bytes(2 * count)
+
+
+@pytest.mark.parametrize(("count", "expected"), [(125, b"\x04\xfa" + bytes(250)), (126, b"\x84\x03")])
+def test_no_more_than_125_registers_are_read_however_many_there_are(count: int, expected: bytes) -> None:
+    stream = new_stream()
+    stream.space[:12] = read_request(4, 0, count, unit=0)
+    assert stream.answer(12, Everything(), 0)[7:] == expected
+
+
 def test_one_read_of_the_buffer_answers_no_more_than_it_holds() -> None:
     stream = new_stream()
     requests = read_request(4, 0, 84, unit=0) * 30
-    assert len(stream.free_space()) == 260
-    stream.free_space()[:] = requests[:260]
+    assert len(stream.space) == 260
+    stream.space[:] = requests[:260]
     assert len(split_frames(stream.answer(260, IMAGE, 0))) == 21
 
 
 def test_requests_and_exceptions_are_counted() -> None:
     stream = new_stream()
     feed(stream, read_request(4, 0, 1, unit=0) + read_request(4, 0, 0, unit=0) + read_request(4, 0, 1, unit=9))
-    assert (stream.requests, stream.exceptions) == (3, 2)
+    assert (stream.counts.requests, stream.counts.exceptions) == (3, 2)
 
 
 def test_exception_codes_are_those_of_the_specification_as_pymodbus_has_them() -> None:
@@ -277,4 +307,4 @@ def test_any_bytes_in_any_pieces_are_answered_as_the_specification_says(data: by
     frames, good = expected_answers(data)
     assert answers == b"".join(frames)
     assert (stream.broken is None) == good
-    assert stream.requests == len(frames)
+    assert stream.counts.requests == len(frames)

@@ -8,6 +8,7 @@ from tests.fakes.register_values import joint_identity, joint_state
 
 from trueangle.core.commands import CommandDesk, Peer
 from trueangle.core.modbus_pdu import Identification, PduResponder
+from trueangle.core.register_fields import MAP_VERSION
 from trueangle.core.registers import RegisterImage, RegisterMap
 
 IMAGE = RegisterMap([joint_identity()]).image(cycle=1, heartbeat=9, service_status=5, states={1: joint_state()})
@@ -189,9 +190,39 @@ def test_identification_as_a_stream_and_one_by_one() -> None:
     assert len(identify("2b 0e 02 00")) <= 253
 
 
-def test_an_identification_that_does_not_fit_is_refused() -> None:
-    with pytest.raises(ValueError, match="60 ASCII"):
-        Identification(revision="x" * 61)
+def test_identification_that_fills_more_than_one_answer_is_read_on_from_the_object_that_follows() -> None:
+    about = Identification(
+        vendor_name="v" * 100, product_code="p" * 100, revision="r" * 244, product_name="n", model_name="m" * 240
+    )
+    responder = PduResponder(about)
+    read: dict[int, bytes] = {}
+    asked = []
+    more, object_id = 0xFF, 0
+    while more == 0xFF:
+        asked.append(object_id)
+        answer = responder.answer(bytes([0x2B, 0x0E, 2, object_id]), None, NOW_NS)
+        assert len(answer) <= 253
+        more, object_id, number = answer[4:7]
+        at = 7
+        for _ in range(number):
+            read[answer[at]] = answer[at + 2 : at + 2 + answer[at + 1]]
+            at += 2 + answer[at + 1]
+        assert at == len(answer)
+    assert asked == [0, 2, 3, 5]
+    assert (more, object_id) == (0, 0)
+    assert read == {i: text.encode() for i, text in enumerate(about.texts)}
+    # Of single objects nothing follows, whatever is behind them.
+    assert responder.answer(bytes.fromhex("2b 0e 04 02"), None, NOW_NS)[4:7] == bytes([0, 0, 1])
+
+
+def test_identification_names_the_version_of_the_register_map() -> None:
+    assert identify("2b 0e 04 05").endswith(f"register map {MAP_VERSION}".encode())
+
+
+@pytest.mark.parametrize("text", ["x" * 245, "Prüfstand"])
+def test_an_identification_that_does_not_fit_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="244 ASCII"):
+        Identification(revision=text)
 
 
 _BODY = st.binary(max_size=252) | st.builds(

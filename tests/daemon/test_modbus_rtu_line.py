@@ -53,7 +53,7 @@ async def on_line(silence_ms: float = 30.0) -> AsyncIterator[tuple[Master, Modbu
     """A silence far above the pauses between writes of a test on a loaded machine."""
     master = Master()
     config = RtuConfig(device=master.device, unit_id=UNIT_ID, baudrate=115_200, silence_ms=silence_ms)
-    server = ModbusRtuServer(config, lambda: IMAGE, Identification(revision="1"))
+    server = ModbusRtuServer(config, lambda _: IMAGE, Identification(revision="1"))
     server.start()
     try:
         assert server.listening
@@ -98,7 +98,7 @@ def test_a_line_that_is_unplugged_is_opened_again(tmp_path: Path, caplog: pytest
         first, link = Master(), tmp_path / "line"
         link.symlink_to(first.device)
         config = RtuConfig(device=str(link), unit_id=UNIT_ID, baudrate=115_200, silence_ms=30.0)
-        server = ModbusRtuServer(config, lambda: IMAGE, Identification(revision="1"))
+        server = ModbusRtuServer(config, lambda _: IMAGE, Identification(revision="1"))
         server.start()
         first.write(READ)
         assert await first.read(len(ANSWER)) == ANSWER

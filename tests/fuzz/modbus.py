@@ -90,7 +90,7 @@ def feed_tcp(data: bytes, cuts: list[int], images: list[int], *, commands: bool)
     ended = False
     for cut, which in zip((*cuts, len(data)), images, strict=True):
         while at < cut:
-            space = stream.free_space()
+            space = stream.space
             assert len(space)
             taken = min(cut - at, len(space))
             space[:taken] = data[at : at + taken]

@@ -18,10 +18,13 @@ from trueangle.core.register_fields import (
     COMMAND_ANSWER,
     COMMAND_BLOCK_ADDRESS,
     COMMAND_WRITABLE,
+    MAP_VERSION,
     SLOTS,
     register_count,
 )
 
+MAX_PDU_BYTES = 253
+"""[MB] 4.1"""
 MAX_READ_COUNT = 125
 """[MB] 6.3 and 6.4: quantity of registers 1 to 0x7D."""
 MAX_READ_BITS = 2000
@@ -41,6 +44,10 @@ _BASIC, _REGULAR, _EXTENDED, _INDIVIDUAL = 1, 2, 3, 4
 _CONFORMITY_REGULAR = 0x82
 """[MB] 6.21: regular identification, stream and individual access."""
 _BASIC_OBJECTS = 3
+_OBJECTS_AT = 7
+"""Bytes before the first object, and two before each object's text."""
+_MAX_OBJECT_BYTES = MAX_PDU_BYTES - _OBJECTS_AT - 2
+_MORE_FOLLOWS = 0xFF
 _COIL_ON, _COIL_OFF = 0xFF00, 0x0000
 
 
@@ -96,18 +103,20 @@ class RegisterSource(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identification:
-    """What FC 43/14 tells; each text ASCII, at most 60 characters, so that all fit into one answer."""
+    """What FC 43/14 tells; each text ASCII, at most 244 characters: one object fits into one answer."""
 
     vendor_name: str = "trueangle"
     product_code: str = "trueangled"
     revision: str
     product_name: str = "corrected encoder angles"
-    model_name: str = "register map 1"
+    model_name: str = f"register map {MAP_VERSION}"
 
     def __post_init__(self) -> None:
         for text in self.texts:
-            if not text.isascii() or len(text) > 60:
-                raise ValueError(f"identification: expected at most 60 ASCII characters, got {text!r}")
+            if not text.isascii() or len(text) > _MAX_OBJECT_BYTES:
+                raise ValueError(
+                    f"identification: expected at most {_MAX_OBJECT_BYTES} ASCII characters, got {text!r}"
+                )
 
     @property
     def texts(self) -> tuple[str, ...]:
@@ -315,9 +324,14 @@ class PduResponder:
             chosen = range(object_id if object_id < end else 0, end)
         else:
             return ExceptionCode.ILLEGAL_DATA_VALUE
-        # More follows: no; next object id: 0. All objects fit into one answer (`Identification`).
-        head = bytes((*pdu[:3], _CONFORMITY_REGULAR, 0, 0, len(chosen)))
-        return head + b"".join(bytes((i, len(texts[i]))) + texts[i].encode("ascii") for i in chosen)
+        objects, more, following = b"", 0, 0
+        for i in chosen:
+            one = bytes((i, len(texts[i]))) + texts[i].encode("ascii")
+            if _OBJECTS_AT + len(objects) + len(one) > MAX_PDU_BYTES:
+                chosen, more, following = range(chosen.start, i), _MORE_FOLLOWS, i
+                break
+            objects += one
+        return bytes((*pdu[:3], _CONFORMITY_REGULAR, more, following, len(chosen))) + objects
 
 
 def _writable(address: int, count: int) -> bool:

@@ -1,7 +1,7 @@
 """One client of the plain server: received bytes go into the stream's fixed buffer, answers out at once."""
 
 import asyncio
-import time
+from time import monotonic_ns
 from typing import Protocol, cast
 
 from trueangle.core.commands import Peer
@@ -18,7 +18,7 @@ class ConnectionHost(Protocol):
     counters: ModbusCounters
     plain_commands: bool
 
-    def image(self) -> RegisterSource | None:
+    def image(self, now_ns: int) -> RegisterSource | None:
         """What is answered from; None: not ready."""
         ...
 
@@ -45,7 +45,7 @@ class Connection(asyncio.BufferedProtocol):
     __slots__ = (
         "_host",
         "_idle_check",
-        "_last_request_s",
+        "_last_request_ns",
         "_loop",
         "_responder",
         "_stream",
@@ -56,7 +56,7 @@ class Connection(asyncio.BufferedProtocol):
     def __init__(self, host: ConnectionHost) -> None:
         self._host = host
         self._loop = asyncio.get_running_loop()
-        self._last_request_s = self._loop.time()
+        self._last_request_ns = monotonic_ns()
         self._transport: asyncio.Transport | None = None
         self._idle_check: asyncio.TimerHandle | None = None
         self._responder: PduResponder | None = None
@@ -82,39 +82,33 @@ class Connection(asyncio.BufferedProtocol):
     def serve(self, peer: Peer) -> ModbusTcpStream:
         """Answer this peer from now on."""
         self._responder = self._host.responder(peer)
-        self._stream = ModbusTcpStream(self._host.unit_id, self._responder)
-        self._last_request_s = self._loop.time()
+        self._stream = ModbusTcpStream(self._host.unit_id, self._responder, self._host.counters)
+        self._last_request_ns = monotonic_ns()
         self._idle_check = self._loop.call_later(self._host.limits.idle_timeout_s, self._close_if_idle)
         return self._stream
 
     def get_buffer(self, sizehint: int) -> memoryview:
         # After a refusal nothing is read; the transport asks once before it knows.
-        return self._stream.free_space() if self._stream is not None else memoryview(bytearray(1))
+        return self._stream.space if self._stream is not None else memoryview(bytearray(1))
 
     def buffer_updated(self, nbytes: int) -> None:
+        # A transport that was told to close delivers nothing more.
         stream, transport = self._stream, self._transport
-        if stream is None or transport is None or transport.is_closing():
+        if stream is None or transport is None:
             return
-        answers = self.answers(stream, nbytes)
+        now_ns = monotonic_ns()
+        answers = stream.answer(nbytes, self._host.image(now_ns), now_ns)
         if answers:
+            self._last_request_ns = now_ns
             transport.write(answers)
         if stream.broken is not None:
-            self.end()
+            self.break_off(stream.broken)
 
-    def answers(self, stream: ModbusTcpStream, nbytes: int) -> bytes:
-        """The answers to what the stream's free space was filled with, counted."""
-        host = self._host
-        requests, exceptions = stream.requests, stream.exceptions
-        answers = stream.answer(nbytes, host.image(), time.monotonic_ns())
-        if answers:
-            counters = host.counters
-            counters.requests += stream.requests - requests
-            counters.exceptions += stream.exceptions - exceptions
-            self._last_request_s = self._loop.time()
-        if stream.broken is not None:
-            host.counters.broken += 1
-            host.report("modbus_broken_stream", self.address, stream.broken)
-        return answers
+    def break_off(self, reason: str) -> None:
+        """The client does not speak Modbus TCP."""
+        self._host.counters.broken += 1
+        self._host.report("modbus_broken_stream", self.address, reason)
+        self.end()
 
     def pause_writing(self) -> None:
         if self._transport is not None:
@@ -152,8 +146,8 @@ class Connection(asyncio.BufferedProtocol):
 
     def _close_if_idle(self) -> None:
         """The base of the time-out is the last whole request, so single bytes keep nothing open."""
-        timeout_s = self._host.limits.idle_timeout_s
-        left_s = self._last_request_s + timeout_s - self._loop.time()
+        silent_s = (monotonic_ns() - self._last_request_ns) * 1e-9
+        left_s = self._host.limits.idle_timeout_s - silent_s
         if left_s > 0:
             self._idle_check = self._loop.call_later(left_s, self._close_if_idle)
             return

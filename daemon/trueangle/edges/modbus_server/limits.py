@@ -4,6 +4,8 @@ import ipaddress
 import logging
 from dataclasses import dataclass
 
+from trueangle.core.modbus_answer import RequestCounts
+
 _LOG = logging.getLogger(__name__)
 _REPORT_INTERVAL_S = 60.0
 """A client that misbehaves again and again is logged once in that time, with the count."""
@@ -64,11 +66,9 @@ def host_address(peername: object) -> str:
 
 
 @dataclass(slots=True, kw_only=True)
-class ModbusCounters:
+class ModbusCounters(RequestCounts):
     """Plain integers since start, except `connections`: those open now."""
 
-    requests: int = 0
-    exceptions: int = 0
     connections: int = 0
     accepted: int = 0
     refused: int = 0

@@ -29,7 +29,7 @@ class ModbusRtuServer:
     def __init__(
         self,
         config: RtuConfig,
-        image: Callable[[], RegisterSource | None],
+        image: Callable[[int], RegisterSource | None],
         identification: Identification,
         *,
         desk: CommandDesk | None = None,
@@ -121,7 +121,8 @@ class ModbusRtuServer:
         self._timer = None
         if self._descriptor is None:
             return
-        answer = self._stream.silent(self._image(), time.monotonic_ns())
+        now_ns = time.monotonic_ns()
+        answer = self._stream.silent(self._image(now_ns), now_ns)
         if not answer:
             return
         try:

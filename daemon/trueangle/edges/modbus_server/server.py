@@ -77,6 +77,8 @@ class ModbusTcpServer:
         self._sockets = dict(sockets or {})
         self.unit_id = unit_id
         self.limits = limits or ModbusLimits()
+        age_s = self.limits.image_age_s
+        self._image_age_ns = None if age_s is None else round(age_s * 1e9)
         self.counters = ModbusCounters()
         self.desk = desk
         self.plain_commands = plain_commands
@@ -84,7 +86,7 @@ class ModbusTcpServer:
         self.ports: dict[str, int] = {}
         """Bound ports by the name of the socket, while listening."""
         self._image: RegisterSource | None = None
-        self._published_s = 0.0
+        self._published_ns = 0
         self._refresh = refresh
         self._endpoints: list[asyncio.Server] = []
         self._open: set[Connection] = set()
@@ -99,20 +101,20 @@ class ModbusTcpServer:
     def publish(self, image: RegisterSource) -> None:
         """Answer from this image from now on."""
         self._image = image
-        self._published_s = time.monotonic()
+        self._published_ns = time.monotonic_ns()
 
-    def image(self) -> RegisterSource | None:
+    def image(self, now_ns: int) -> RegisterSource | None:
         """What is answered from; None before the first publication and when the last one is too old.
 
         After a stall of the process the loop runs requests that waited before timers that are due: without the
         refresh they would be answered from the image of before the stall.
         """
-        limit_s = self.limits.image_age_s
-        if limit_s is None or time.monotonic() - self._published_s <= limit_s:
+        limit_ns = self._image_age_ns
+        if limit_ns is None or now_ns - self._published_ns <= limit_ns:
             return self._image
         if self._refresh is not None:
             self._refresh()
-        return self._image if time.monotonic() - self._published_s <= limit_s else None
+        return self._image if time.monotonic_ns() - self._published_ns <= limit_ns else None
 
     def renew_tls(self, settings: TlsSettings) -> None:
         """New key, certificates or roles, for connections from now on; those that are open stay as they are."""

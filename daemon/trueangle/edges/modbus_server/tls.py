@@ -10,6 +10,7 @@ import ssl
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from time import monotonic_ns
 from typing import cast
 
 from trueangle.config import Right, TlsConfig
@@ -184,9 +185,11 @@ class TlsConnection(Connection):
             if self._paused:
                 return
             try:
-                size = self._decrypt(stream.free_space())
-                answers = self.answers(stream, size) if size else b""
+                size = self._decrypt(stream.space)
+                now_ns = monotonic_ns()
+                answers = stream.answer(size, self._host.image(now_ns), now_ns) if size else b""
                 if answers:
+                    self._last_request_ns = now_ns
                     self._tls.write(answers)
             except ssl.SSLWantReadError:
                 self._flush()
@@ -196,8 +199,14 @@ class TlsConnection(Connection):
                 self.end()
                 return
             self._flush()
-            if not size or stream.broken is not None:
+            if stream.broken is not None:
+                self.break_off(stream.broken)
+                return
+            if not size:
                 self.end()
+                return
+            # Reading on would raise SSLWantReadError, which costs as much as the answer.
+            if not self._incoming.pending and not self._tls.pending():
                 return
 
     def _decrypt(self, space: memoryview) -> int:
