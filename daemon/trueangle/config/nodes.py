@@ -96,7 +96,9 @@ class TemperatureConfig:
     max_rate_c_per_s: Annotated[float, Range(minimum=0.001, maximum=1000)] | None = None
     """A temperature that changes faster is a broken sensor; left out, not looked for."""
     node_id: Annotated[int, Range(minimum=1, maximum=127)] | None = None
-    """The node on the joint's bus that measures it; left out, the encoder does."""
+    """The node that measures it; left out, the encoder does."""
+    bus: str | None = None
+    """The bus of that node; left out, the joint's."""
     tpdo: TpdoConfig = field(default_factory=TpdoConfig)
     poll_ms: Annotated[int, Range(minimum=10, maximum=3_600_000)] | None = None
     """Read by SDO so often instead of being mapped: for units that cannot map it."""
@@ -118,6 +120,9 @@ class TemperatureConfig:
         if 0x6000 <= self.index <= 0x65FF:
             found = f"0x{self.index:04X}, an object of the encoder profile CiA 406"
             raise ContractError([Fault(where="index", expected="the object of a temperature", found=found)])
+        if self.bus is not None and self.node_id is None:
+            expected = "node_id with bus: which node there measures it"
+            raise ContractError([Fault(where="bus", expected=expected, found="none")])
         if self.maximum_c <= self.minimum_c:
             expected = f"more than minimum_c ({self.minimum_c:g})"
             raise ContractError([Fault(where="maximum_c", expected=expected, found=f"{self.maximum_c:g}")])

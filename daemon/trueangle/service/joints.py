@@ -167,6 +167,7 @@ def joint_channel(joint: LoadedJoint) -> JointChannel:
         ),
         model=joint.model,
         temperature_node=config.temperature.node_id,
+        temperature_bus=config.temperature.bus,
         temperature_has_status=config.temperature.status is not None,
     )
     return served_as_configured(channel, config, metadata.calibration)
