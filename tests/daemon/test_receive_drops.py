@@ -1,7 +1,7 @@
-"""Frames that a real kernel socket drops: counted before those behind them are believed, served, logged, distrusted.
+"""Frames that a real kernel socket drops: counted before those behind them are handed on, served and logged.
 
-A UDP socket on loopback stands for the raw CAN socket: both drop what finds the receive buffer full, and count it in
-the same place. A pair of Unix sockets would block its sender instead.
+A UDP socket on loopback stands for the raw CAN socket: both drop what finds the receive buffer full, and count it
+in the same place. A pair of Unix sockets would block its sender instead.
 """
 
 import asyncio
