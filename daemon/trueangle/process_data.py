@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from trueangle.config import DaemonConfig, JointConfig, Supervision, TemperatureConfig, TpdoConfig
+from trueangle.config.nodes import ANALOGUE_INPUTS
 from trueangle.contract.errors import ContractError, Fault
 from trueangle.contract.transmission import Trigger
 from trueangle.core.frames import (
@@ -25,6 +26,8 @@ TPDO_BASES = (0x180, 0x280, 0x380, 0x480)
 MAX_TPDO_BITS = 64
 DECIMAL_DIGITS = 0x6132
 """CiA 404, decimal digits of the process value."""
+ANALOGUE_INTERRUPT = 0x6423
+"""CiA 401, global interrupt enable: without it, as by default, no change of an analogue input is sent."""
 
 
 def node_plan(joint: JointConfig) -> NodePlan:
@@ -193,13 +196,13 @@ def _polls(joint: JointConfig, encoder: JointConfig | None) -> list[PolledObject
 
 
 def _expected(config: TemperatureConfig) -> list[ExpectedValue]:
-    if config.digits is None:
-        return []
-    return [
-        ExpectedValue(
-            index=DECIMAL_DIGITS,
-            subindex=config.subindex,
-            value=config.digits,
-            meaning=f"decimal digits of a temperature with degc_per_unit {config.degc_per_unit:g}",
+    expected: list[ExpectedValue] = []
+    if config.digits is not None:
+        meaning = f"decimal digits of a temperature with degc_per_unit {config.degc_per_unit:g}"
+        expected.append(
+            ExpectedValue(index=DECIMAL_DIGITS, subindex=config.subindex, value=config.digits, meaning=meaning)
         )
-    ]
+    if config.index in ANALOGUE_INPUTS and config.tpdo.trigger is Trigger.EVENT and config.poll_ms is None:
+        meaning = "analogue inputs that send their changes"
+        expected.append(ExpectedValue(index=ANALOGUE_INTERRUPT, subindex=0, value=1, meaning=meaning))
+    return expected

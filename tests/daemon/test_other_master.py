@@ -1,4 +1,4 @@
-"""A second CANopen master on the bus: what it reads harms nothing, what it writes does; the log says it is there."""
+"""A second CANopen master on the bus: what it reads harms nothing, what it writes does; the log tells of it."""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""`trueangled scan`: what is on the bus. It listens, then it asks; it writes nothing and changes no unit's mode."""
+"""`trueangled scan`: what is on the bus. It listens, then it asks; it changes nothing."""
 
 import argparse
 import asyncio
@@ -49,7 +49,7 @@ def add_parser(commands: Commands) -> None:
     parser.add_argument(
         "--lss",
         metavar="V:P",
-        help="also list all units of this vendor and product by LSS, those that share a node-id included (CiA 305); "
+        help="also list all units of this vendor and product by LSS (CiA 305), those that share a node-id included; "
         "about 10 s",
     )
     add_lss_timeout(parser)

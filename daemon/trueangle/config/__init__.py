@@ -16,6 +16,7 @@ from trueangle.config.joints import (
 )
 from trueangle.config.modbus import ModbusConfig, Parity, Right, RtuConfig, TlsConfig
 from trueangle.config.nodes import (
+    ENCODER_PROFILE,
     BusConfig,
     Supervision,
     TemperatureConfig,
@@ -156,8 +157,9 @@ def _heads_on_other_buses(joints: tuple[JointConfig, ...]) -> list[Fault]:
 
 
 def _sensors_that_cannot_be(joints: tuple[JointConfig, ...], buses: set[str]) -> list[Fault]:
-    """Temperature nodes on a bus that is not there, or that are a further reading head."""
+    """Temperatures on a bus that is not there, of a further reading head, in an object that an encoder has."""
     faults: list[Fault] = []
+    encoders = {(joint.bus, joint.node_id) for joint in joints}
     heads = {(joint.bus, head.node_id) for joint in joints for head in joint.further_heads}
     for i, joint in enumerate(joints):
         sensor = joint.temperature
@@ -168,6 +170,10 @@ def _sensors_that_cannot_be(joints: tuple[JointConfig, ...], buses: set[str]) ->
             expected = "a node that is no further reading head: of those only the position is read"
             where = f"joints[{i}].temperature.node_id"
             faults.append(Fault(where=where, expected=expected, found=str(sensor.node_id)))
+        if sensor.index in ENCODER_PROFILE and (sensor.bus or joint.bus, sensor.node_id) in encoders:
+            expected = f"the object of a temperature: node {sensor.node_id} is an encoder"
+            found = f"0x{sensor.index:04X}, an object of the encoder profile CiA 406"
+            faults.append(Fault(where=f"joints[{i}].temperature.index", expected=expected, found=found))
     return faults
 
 
