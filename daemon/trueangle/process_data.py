@@ -1,13 +1,14 @@
 """From the configuration to what each node is asked to send: TPDOs, polled objects, proofs of life.
 
 Rules of this file: one plan a node, whatever it serves: the encoder of one joint, temperatures of any number of
-joints on the same bus. TPDO 1 holds the position; temperatures follow, those of one trigger packed together.
+joints. TPDO 1 holds the position; temperatures follow, those of one trigger packed together.
 """
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from trueangle.config import DaemonConfig, JointConfig, Supervision, TemperatureConfig, TpdoConfig
+from trueangle.config.nodes import ANALOGUE_INPUTS
 from trueangle.contract.errors import ContractError, Fault
 from trueangle.contract.transmission import Trigger
 from trueangle.core.frames import (
@@ -25,20 +26,25 @@ TPDO_BASES = (0x180, 0x280, 0x380, 0x480)
 MAX_TPDO_BITS = 64
 DECIMAL_DIGITS = 0x6132
 """CiA 404, decimal digits of the process value."""
+ANALOGUE_INTERRUPT = 0x6423
+"""CiA 401, global interrupt enable: without it, as by default, no change of an analogue input is sent."""
 
 
 def node_plan(joint: JointConfig) -> NodePlan:
     """The plan of this joint's encoder as if no other joint shared the bus."""
-    return _plan(joint.node_id, joint, [joint] if _temperature_node(joint) == joint.node_id else [])
+    return _plan(joint.node_id, joint, [joint] if _temperature_node(joint) == (joint.bus, joint.node_id) else [])
 
 
 def node_plans(joints: Iterable[JointConfig], bus: str) -> list[NodePlan]:
     """The plans of all nodes of this bus, the encoders' first; ContractError where a node has too few TPDOs."""
+    joints = tuple(joints)
     here = [joint for joint in joints if joint.bus == bus]
     encoders = {joint.node_id: joint for joint in here}
     warm: dict[int, list[JointConfig]] = {}
-    for joint in here:
-        warm.setdefault(_temperature_node(joint), []).append(joint)
+    for joint in joints:
+        sensor_bus, node_id = _temperature_node(joint)
+        if sensor_bus == bus:
+            warm.setdefault(node_id, []).append(joint)
     node_ids = dict.fromkeys((*encoders, *warm))
     plans = [_plan(node_id, encoders.get(node_id), warm.get(node_id, [])) for node_id in node_ids]
     return plans + [plan for joint in here for plan in head_plans(joint)]
@@ -67,8 +73,10 @@ def plan_faults(config: DaemonConfig, *, source: str) -> list[Fault]:
     return faults
 
 
-def _temperature_node(joint: JointConfig) -> int:
-    return joint.node_id if joint.temperature.node_id is None else joint.temperature.node_id
+def _temperature_node(joint: JointConfig) -> tuple[str, int]:
+    """Bus and node-id of the node that measures the joint's temperature."""
+    config = joint.temperature
+    return config.bus or joint.bus, joint.node_id if config.node_id is None else config.node_id
 
 
 def _plan(node_id: int, encoder: JointConfig | None, warm: Iterable[JointConfig]) -> NodePlan:
@@ -188,13 +196,13 @@ def _polls(joint: JointConfig, encoder: JointConfig | None) -> list[PolledObject
 
 
 def _expected(config: TemperatureConfig) -> list[ExpectedValue]:
-    if config.digits is None:
-        return []
-    return [
-        ExpectedValue(
-            index=DECIMAL_DIGITS,
-            subindex=config.subindex,
-            value=config.digits,
-            meaning=f"decimal digits of a temperature with degc_per_unit {config.degc_per_unit:g}",
+    expected: list[ExpectedValue] = []
+    if config.digits is not None:
+        meaning = f"decimal digits of a temperature with degc_per_unit {config.degc_per_unit:g}"
+        expected.append(
+            ExpectedValue(index=DECIMAL_DIGITS, subindex=config.subindex, value=config.digits, meaning=meaning)
         )
-    ]
+    if config.index in ANALOGUE_INPUTS and config.tpdo.trigger is Trigger.EVENT and config.poll_ms is None:
+        meaning = "analogue inputs that send their changes"
+        expected.append(ExpectedValue(index=ANALOGUE_INTERRUPT, subindex=0, value=1, meaning=meaning))
+    return expected

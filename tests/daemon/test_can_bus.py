@@ -539,7 +539,7 @@ def test_socketcan_error_passive_shows_until_the_controller_is_well_again(
         run(scenario)
     told = [m for m in caplog.messages if "bus_degraded" in m]
     assert len(told) == 2
-    assert "event=bus_degraded_ends reason='error-passive' count=100" in told[1]
+    assert "event=bus_degraded_ends bus=test reason='error-passive' count=100" in told[1]
 
 
 def test_overrun_of_the_controller_counts_as_dropped_before_the_frames_behind_it() -> None:

@@ -335,7 +335,7 @@ def test_flapping_node_logs_each_kind_of_failure_once(caplog: pytest.LogCaptureF
 
     with caplog.at_level("INFO", logger="trueangle"):
         run(scenario)
-    assert sum("state=lost" in r.getMessage() for r in caplog.records) == 1
-    running = [r.getMessage() for r in caplog.records if "state=running" in r.getMessage()]
+    assert sum("event=node_lost " in r.getMessage() for r in caplog.records) == 1
+    running = [r.getMessage() for r in caplog.records if "event=node_running " in r.getMessage()]
     assert len(running) == 1
     assert "attempts=" in running[0]

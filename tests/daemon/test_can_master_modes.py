@@ -326,4 +326,4 @@ def test_storm_of_emergencies_is_one_log_line_and_its_end_tells_how_many(
         run(scenario)
     lines = [r.getMessage() for r in caplog.records]
     assert sum("EMCY" in line for line in lines) == 1
-    assert any("state=running" in line and "emergencies=300" in line for line in lines)
+    assert any("event=node_running " in line and "emergencies=300" in line for line in lines)

@@ -1,6 +1,9 @@
 """What shows that two nodes share one node-id, and what only looks like it."""
 
-from hypothesis import given
+import math
+import random
+
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trueangle.core.clash import LATCH_NS, WINDOW, ClashLatch, HeartbeatWatch, SenderWatch
@@ -13,14 +16,78 @@ def synchronous() -> SenderWatch:
     return SenderWatch(COUNTS_PER_REV, synchronous=True, period_ms=None)
 
 
-def test_two_shafts_in_turn_are_told_within_the_second_sync() -> None:
-    """A B A B, two frames a SYNC: four frames, before many of them were served."""
+def after_lone_service(syncs: int = 500) -> SenderWatch:
+    """2.5 s of one shaft that turns, each SYNC answered."""
     watch = synchronous()
-    told: list[bool] = []
-    for sync in range(2):
+    for sync in range(syncs):
         watch.on_sync()
-        told += [watch.on_position(counts, sync * 5 * MS) for counts in (1000 + sync, 2_000_000 - sync)]
-    assert told == [False, False, False, True]
+        assert not watch.on_position(1000 + sync, sync * 5 * MS)
+    return watch
+
+
+def told_of_two(watch: SenderWatch, *, stranger_first: bool, from_sync: int = 500) -> list[bool]:
+    told: list[bool] = []
+    for sync in range(from_sync, from_sync + 2):
+        watch.on_sync()
+        counts = (1000 + sync, 2_000_000 - sync)
+        places = reversed(counts) if stranger_first else counts
+        told += [watch.on_position(place, sync * 5 * MS) for place in places]
+    return told
+
+
+def test_first_frame_of_a_second_shaft_tells_where_it_comes_behind_the_first_ones() -> None:
+    """A SYNC asks for one frame: another one, that comes from elsewhere, is somebody else's."""
+    assert told_of_two(after_lone_service(), stranger_first=False)[:2] == [False, True]
+
+
+def test_second_shaft_that_answers_before_the_first_is_told_by_the_next_frame() -> None:
+    """Nothing tells the stranger's frame from a jump until the other one has come, too."""
+    assert told_of_two(after_lone_service(), stranger_first=True)[:2] == [False, True]
+
+
+def test_two_shafts_from_the_start_are_told_within_the_second_sync() -> None:
+    """A B A B: how many frames the bus still owed is not known yet."""
+    assert told_of_two(synchronous(), stranger_first=False, from_sync=0) == [False, False, False, True]
+
+
+def test_frames_lost_long_ago_do_not_hide_a_second_shaft() -> None:
+    watch = synchronous()
+    for sync in range(2000):
+        watch.on_sync()
+        if sync not in (20, 30, 700):
+            assert not watch.on_position(1000 + sync, sync * 5 * MS)
+    assert told_of_two(watch, stranger_first=False, from_sync=2000)[:2] == [False, True]
+
+
+def test_doubled_frame_of_one_shaft_is_no_clash_at_rest_or_turning() -> None:
+    """CAN sends a frame again whose last bit was disturbed for its sender alone."""
+    for step in (0, 1, 4000):
+        watch = synchronous()
+        for sync in range(1000):
+            assert not watch.on_sync()
+            for _ in range(2 if sync % 7 == 0 else 1):
+                assert not watch.on_position(1000 + step * sync, sync * 5 * MS)
+
+
+@settings(deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), speed=st.integers(-40_000, 40_000), noise=st.integers(0, 3))
+def test_late_lost_and_doubled_frames_of_one_shaft_are_no_clash(seed: int, speed: int, noise: int) -> None:
+    """A bus that stalls, recovers, loses and repeats, under a shaft that swings to and fro and rests."""
+    chance = random.Random(seed)  # noqa: S311 - comes again with its seed
+    watch = synchronous()
+    waiting: list[int] = []
+    place, stalled = 0.0, 0
+    for sync in range(1200):
+        assert not watch.on_sync()
+        place += speed * math.sin(sync / 150) if sync % 600 < 450 else 0
+        if chance.random() > 0.01:
+            waiting.append((round(place) + chance.randint(-noise, noise)) % COUNTS_PER_REV)
+        stalled = stalled - 1 if stalled else chance.choice((0,) * 60 + (3, 20))
+        held = len(waiting) if stalled else 0 if chance.random() < 0.9 else 1
+        while len(waiting) > held:
+            counts = waiting.pop(0)
+            for _ in range(2 if chance.random() < 0.01 else 1):
+                assert not watch.on_position(counts, sync * 5 * MS)
 
 
 @given(start=st.integers(0, COUNTS_PER_REV), step=st.integers(-400_000, 400_000), noise=st.integers(0, 3))

@@ -156,10 +156,30 @@ def test_modbus_that_contradicts_itself_is_refused(modbus: str, found: str) -> N
             "further_heads: [{node_id: 1, mounting_deg: 180, encoder: {counts_per_rev: 4096}}]",
             "joints[1].further_heads[0].node_id: expected a node of its own",
         ),
+        (
+            "further_heads: [{node_id: 9, bus: leg, mounting_deg: 180, encoder: {counts_per_rev: 4096}}]",
+            "joints[1].further_heads[0].bus: expected the joint's own bus, arm: heads on two buses have no SYNC",
+        ),
     ],
 )
 def test_what_stands_in_for_an_angle_and_reads_it_must_be_said_in_full(key: str, found: str) -> None:
     assert any(found in fault for fault in faults_of(GOOD + f"    {key}\n")), faults_of(GOOD + f"    {key}\n")
+
+
+@pytest.mark.parametrize(
+    ("sensor", "found"),
+    [
+        ("bus: leg, node_id: 40", "joints[0].temperature.bus: expected one of the buses: arm, found leg"),
+        ("bus: arm", "joints[0].temperature.bus: expected node_id with bus: which node there measures it"),
+        ("node_id: 2", "joints[0].temperature.index: expected the object of a temperature: node 2 is an"),
+        ("node_id: 9", "joints[0].temperature.node_id: expected a node that is no further reading head"),
+    ],
+)
+def test_a_temperature_that_no_node_could_tell_is_refused(sensor: str, found: str) -> None:
+    heads = "    further_heads: [{node_id: 9, bus: arm, mounting_deg: 180, encoder: {counts_per_rev: 3276800}}]\n"
+    text = GOOD.replace("degc_per_unit: 0.01", f"degc_per_unit: 0.01, {sensor}", 1) + heads
+    text = text.replace("index: 0x7130", "index: 0x6401", 1) if "node_id: 2" in sensor else text
+    assert any(found in fault for fault in faults_of(text)), faults_of(text)
 
 
 @pytest.mark.parametrize(

@@ -4,94 +4,14 @@ Time is an argument here: nothing waits, and no wall clock is asked.
 """
 
 import struct
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from pathlib import Path
 
 import pytest
+from tests.fakes.pipeline_line import GOOD, MS, Line, joint, position
 
-from trueangle.config import JointConfig, parse_config
 from trueangle.core.frames import Quantity
-from trueangle.core.health import NodeCondition, StatusBit
-from trueangle.core.pipeline import Frame, Pipeline
-from trueangle.core.registers import RegisterImage, RegisterMap
-from trueangle.process_data import node_plans
-from trueangle.service import joint_channel, joint_identity, load_joints
+from trueangle.core.health import NodeCondition, ServiceBit, StatusBit
 
-MODELS = Path(__file__).parents[1] / "data" / "models"
-MS = 1_000_000
-GOOD = StatusBit.CONFIGURED | StatusBit.VALID
-REST = 1_234_567
 SENSOR = 40
-
-
-def joint(slot: int, *, temperature: str = "", more: str = "") -> str:
-    """Joint 1 has good.onnx, joint 2 its twin."""
-    model = "good.onnx" if slot == 1 else "twin.onnx"
-    return (
-        f"  - {{slot: {slot}, name: j{slot}, bus: arm, node_id: {slot}, model: {model}, {more}\n"
-        f"     encoder: {{counts_per_rev: 3276800}},\n"
-        f"     temperature: {{index: 0x7130, subindex: {slot}, degc_per_unit: 0.01, stale_s: 2, "
-        f"{temperature}}}}}\n"
-    )
-
-
-@dataclass
-class Line:
-    """The pipeline of these joints on one bus; nodes in service, SYNC seen, positions at rest."""
-
-    text: str
-    now_ns: int = 10**12
-    images: list[RegisterImage] = field(default_factory=list[RegisterImage])
-    asked: list[tuple[int, str]] = field(default_factory=list[tuple[int, str]])
-
-    def __post_init__(self) -> None:
-        head = "schema_version: 1\nbuses: [{name: arm, interface: virtual, channel: c0}]\njoints:\n"
-        config = parse_config(head + self.text, source="t.yaml")
-        loaded = load_joints(config, base=MODELS, source="t.yaml")
-        self.joints: dict[int, JointConfig] = {j.slot: j for j in config.joints}
-        plans = node_plans(config.joints, "arm")
-        self.pipeline = Pipeline(
-            [joint_channel(entry) for entry in loaded],
-            RegisterMap([joint_identity(entry) for entry in loaded]),
-            publish=self.images.append,
-            on_status=lambda slot, before, after: None,
-            sensors=[("arm", plan) for plan in plans],
-            on_clash=lambda slot, reason: self.asked.append((slot, reason)),
-        )
-        self.pipeline.on_bus("arm", up=True, now_ns=self.now_ns)
-        for plan in plans:
-            if plan.slot is not None:
-                self.pipeline.on_node(plan.slot, NodeCondition.RUNNING, self.now_ns)
-            self.pipeline.on_sensor("arm", plan.node_id, NodeCondition.RUNNING, self.now_ns)
-
-    def feed(self, *frames: tuple[int, bytes]) -> None:
-        batch: list[Frame] = [(cob_id, data, self.now_ns) for cob_id, data in frames]
-        self.pipeline.on_frames("arm", batch, self.now_ns)
-
-    def cycle(self, *slots: int, counts: int = REST, sync: bool = True) -> None:
-        """5 ms: SYNC, 1 ms later positions of these slots."""
-        if sync:
-            self.pipeline.on_sync("arm", self.now_ns)
-        self.now_ns += MS
-        self.feed(*(position(slot, counts) for slot in slots))
-        self.now_ns += 4 * MS
-
-    def run(self, seconds: float, *slots: int, sync: bool = True, also: Callable[[], None] | None = None) -> None:
-        for _ in range(round(seconds * 200)):
-            self.cycle(*slots, sync=sync)
-            if also is not None:
-                also()
-
-    def status(self, slot: int) -> StatusBit:
-        self.pipeline.tick(self.now_ns)
-        data = self.images[-1].read(10 + 12 * (slot - 1), 2)
-        assert data is not None
-        return StatusBit(int.from_bytes(data, "big"))
-
-
-def position(slot: int, counts: int = REST) -> tuple[int, bytes]:
-    return (0x180 + slot, struct.pack("<I", counts))
 
 
 # Temperature on another node
@@ -220,6 +140,54 @@ def test_joint_that_waits_for_no_sync_does_not_hold_up_the_cycle_of_the_others()
     assert len(line.images) == images + 1
 
 
+# A sensor on another bus
+
+
+def elsewhere(slot: int, more: str = "") -> str:
+    return joint(slot, temperature=f"bus: leg, node_id: {SENSOR}, {more}")
+
+
+def test_temperature_comes_from_a_node_on_another_bus_and_from_no_other() -> None:
+    line = Line(elsewhere(1), buses=("arm", "leg"))
+    assert 0x180 + SENSOR in line.pipeline.process_data("leg")
+    assert 0x180 + SENSOR not in line.pipeline.process_data("arm")
+    line.cycle(1)
+    line.feed((0x180 + SENSOR, struct.pack("<h", 2500)), bus="arm")  # the same COB-ID there is somebody else's
+    assert line.status(1) == StatusBit.CONFIGURED | StatusBit.TEMPERATURE_STALE
+    line.feed((0x180 + SENSOR, struct.pack("<h", 2500)), bus="leg")
+    assert line.status(1) == GOOD
+
+
+def test_sensor_bus_that_goes_down_takes_the_temperature_with_it_and_is_told() -> None:
+    line = Line(elsewhere(1), buses=("arm", "leg"))
+    line.cycle(1)
+    line.feed((0x180 + SENSOR, struct.pack("<h", 2500)), bus="leg")
+    assert line.service() == ServiceBit.ALL_VALID
+    line.pipeline.on_sensor("leg", SENSOR, NodeCondition.NOT_READY, line.now_ns)
+    line.pipeline.on_bus("leg", up=False, now_ns=line.now_ns)
+    assert line.status(1) == StatusBit.CONFIGURED | StatusBit.TEMPERATURE_STALE
+    assert line.service() == ServiceBit.BUS_DOWN
+
+
+def test_node_with_the_encoders_id_on_another_bus_is_not_the_encoder() -> None:
+    """Both have node-id 1: the life of one says nothing of the other."""
+    line = Line(joint(1, temperature="bus: leg, node_id: 1, tpdo: {trigger: event}"), buses=("arm", "leg"))
+    line.cycle(1)
+    line.feed((0x181, struct.pack("<h", 2500)), bus="leg")
+    assert line.status(1) == GOOD
+    line.pipeline.on_sensor("leg", 1, NodeCondition.NOT_READY, line.now_ns)
+    assert line.status(1) == StatusBit.CONFIGURED | StatusBit.TEMPERATURE_STALE
+
+
+def test_sync_of_the_sensors_bus_is_none_of_the_encoders() -> None:
+    line = Line(elsewhere(1), buses=("arm", "leg"))
+    line.feed((0x180 + SENSOR, struct.pack("<h", 2500)), bus="leg")
+    line.run(0.1, 1)
+    line.pipeline.on_sync("leg", line.now_ns)
+    line.run(0.2, 1, sync=False, also=lambda: line.pipeline.on_sync("leg", line.now_ns))
+    assert StatusBit.SYNC_LOST in line.status(1)
+
+
 # Two nodes, one id
 
 
@@ -237,7 +205,7 @@ def test_two_senders_take_the_joint_out_until_they_were_asked_and_one_is_left() 
     assert StatusBit.NODE_ID_CLASH in line.status(1)
     assert StatusBit.VALID not in line.status(1)
     assert line.status(2) == GOOD
-    assert line.asked == [(1, "two nodes send its positions")]
+    assert line.asked == [("arm", 1, "two nodes send its positions")]
     # The master asks who it is; by then the second unit is gone again.
     line.pipeline.on_node(1, NodeCondition.NOT_READY, line.now_ns)
     line.pipeline.on_node(1, NodeCondition.RUNNING, line.now_ns)
@@ -246,7 +214,7 @@ def test_two_senders_take_the_joint_out_until_they_were_asked_and_one_is_left() 
     assert StatusBit.NODE_ID_CLASH in line.status(1)
     line.feed(*warm)
     line.run(0.2, 1, 2)
-    assert line.asked[1:] == [(1, "two nodes sent its positions, one is left")]
+    assert line.asked[1:] == [("arm", 1, "two nodes sent its positions, one is left")]
     assert StatusBit.NODE_ID_CLASH not in line.status(1)
 
 
@@ -263,3 +231,39 @@ def test_doubled_frame_is_no_clash_and_refreshes_nothing_for_long() -> None:
     assert line.asked == []
     line.now_ns += 51 * MS
     assert StatusBit.STALE in line.status(1)
+
+
+HEADS = "further_heads: [{node_id: 9, mounting_deg: 180, encoder: {counts_per_rev: 3276800}}], "
+
+
+def heads(line: Line, *second: int) -> None:
+    """One SYNC: the first head at 0 deg, and what is sent with the second head's node-id."""
+    line.pipeline.on_sync("arm", line.now_ns)
+    line.now_ns += MS
+    line.feed(position(1, 0), *(position(9, counts) for counts in second))
+    line.now_ns += 4 * MS
+
+
+def test_clash_of_a_further_head_costs_only_that_head_and_ends_when_one_is_left() -> None:
+    line = Line(joint(1, more=HEADS))
+    line.feed((0x281, struct.pack("<h", 2500)))
+    for _ in range(40):
+        heads(line, 1_638_400)
+    assert line.status(1) == GOOD
+    for _ in range(2):
+        heads(line, 1_638_400, 99_000)
+    assert StatusBit.HEAD_LOST in line.status(1)
+    assert line.asked == [("arm", 9, "two nodes send its positions")]
+    line.pipeline.on_node(1, NodeCondition.NOT_READY, line.now_ns, head=1)
+    line.pipeline.on_node(1, NodeCondition.RUNNING, line.now_ns, head=1)
+    for _ in range(500):
+        heads(line, 1_638_400)
+    assert line.asked[1:] == [("arm", 9, "two nodes sent its positions, one is left")]
+    line.pipeline.on_node(1, NodeCondition.NOT_READY, line.now_ns, head=1)
+    line.pipeline.on_node(1, NodeCondition.RUNNING, line.now_ns, head=1)
+    line.feed((0x281, struct.pack("<h", 2500)))
+    for _ in range(500):
+        heads(line, 1_638_400)
+    line.feed((0x281, struct.pack("<h", 2500)))
+    assert line.status(1) == GOOD
+    assert len(line.asked) == 2

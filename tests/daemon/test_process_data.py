@@ -97,6 +97,18 @@ def test_one_node_id_on_two_buses_is_two_nodes() -> None:
     assert [plan.slot for plan in node_plans(config.joints, "leg")] == [2]
 
 
+def test_temperature_node_on_another_bus_is_planned_there_and_nowhere_else() -> None:
+    text = HEAD.replace("}]", "}, {name: leg, interface: virtual, channel: c1}]")
+    text += joint(1, "bus: leg, node_id: 1") + joint(2, "bus: leg, node_id: 1")
+    config = parse_config(text, source="t.yaml")
+    assert [(p.slot, p.node_id, len(p.tpdos)) for p in node_plans(config.joints, "arm")] == [(1, 1, 1), (2, 2, 1)]
+    (sensor,) = node_plans(config.joints, "leg")
+    assert (sensor.slot, sensor.node_id) == (None, 1)
+    assert frame_layouts(sensor)[0x181].slots == (1, 2)
+    # What the pipeline knows of joint 1 alone: node 1 of its own bus is its encoder, and measures nothing.
+    assert [tpdo.number for tpdo in node_plan(config.joints[0]).tpdos] == [1]
+
+
 @pytest.mark.parametrize(
     ("temperature", "more", "found"),
     [

@@ -4,6 +4,8 @@ import asyncio
 import json
 
 from tests.fakes.encoder_node import COUNTS_PER_REV, EncoderNode
+from tests.fakes.lss_bus import LssEncoder
+from tests.fakes.lss_unit import LssUnit
 from tests.fakes.socketcand_server import SocketcandServer
 from tests.fakes.trueangled_process import command, environment, trueangled
 
@@ -90,8 +92,32 @@ def test_an_empty_bus_and_an_absent_one_are_told_apart() -> None:
     assert "cannot open socketcand" in line
 
 
+def test_units_that_share_a_node_id_are_listed_by_their_identities() -> None:
+    """As `commission --identity` takes them; nothing of the units changes."""
+
+    def unit(serial: int) -> LssEncoder:
+        return LssEncoder(32, lambda _id, _data: None, lss=LssUnit((1, 2, 3, serial), node_id=32))
+
+    units = (unit(10), unit(11))
+    code, out, err = asyncio.run(scanned(*units, arguments=("--lss", "1:2", "--lss-timeout", "0.05")))
+    assert code == 0, err
+    assert [line for line in out.splitlines() if line.startswith("unit ")] == [
+        "unit 0x1:0x2:0x3:0xA",
+        "unit 0x1:0x2:0x3:0xB",
+    ]
+    assert not any(unit.lss.configuring or unit.writes for unit in units)
+
+
+def test_units_are_listed_in_json_and_none_is_an_answer_too() -> None:
+    code, out, _ = asyncio.run(scanned(encoder(3), arguments=("--json", "--lss", "1:2")))
+    assert (code, json.loads(out)["lss_units"]) == (0, [])
+
+
 def test_bad_input_is_exit_2() -> None:
     for arguments in (
+        ["--interface", "virtual", "--channel", "x", "--lss", "1"],
+        ["--interface", "virtual", "--channel", "x", "--lss", "1:0x1FFFFFFFF"],
+        ["--interface", "virtual", "--channel", "x", "--lss", "1:2", "--lss-timeout", "0"],
         [],
         ["--interface", "nonesuch", "--channel", "x"],
         ["--interface", "virtual", "--channel", "x", "--option", "y"],

@@ -227,8 +227,10 @@ def test_ready_waits_for_a_silent_node_until_it_is_reported_lost(
             await r.until_told(lambda: manager.heard("READY=1"))
             assert "READY=1\nSTATUS=1 of 2 joints valid; elbow: " in manager.ready()
             assert "node_not_ready" in manager.ready()
-        order = [m for m in caplog.messages if "event=ready" in m or "node_id=2 state=lost" in m]
-        assert "state=lost" in order[0]
+        order = [
+            m for m in caplog.messages if "event=ready" in m or ("event=node_lost " in m and "node_id=2 " in m)
+        ]
+        assert "event=node_lost " in order[0]
         assert "event=ready" in order[1]
 
     asyncio.run(scenario())

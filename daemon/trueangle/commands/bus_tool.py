@@ -33,6 +33,7 @@ LSS_S = 0.1
 """CiA 305 sets no limit; a unit that takes longer is told by `--lss-timeout`."""
 GATHER_S = 0.02
 """After a first answer, for that of a second unit."""
+LSS_LIMITS_S = (0.01, 10.0)
 
 T = TypeVar("T")
 
@@ -180,6 +181,20 @@ def add_bus(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--option", action="append", default=[], metavar="KEY=VALUE", help="further argument of the interface"
     )
+
+
+def add_lss_timeout(parser: argparse.ArgumentParser) -> None:
+    """The option that says how patient layer setting services are."""
+    parser.add_argument("--lss-timeout", type=float, default=LSS_S, metavar="S", help="patience with LSS answers")
+
+
+def lss_timeout_faults(options: argparse.Namespace) -> list[Fault]:
+    """What is wrong with that option."""
+    least, most = LSS_LIMITS_S
+    if least <= options.lss_timeout <= most:
+        return []
+    found = f"{options.lss_timeout:g}"
+    return [Fault(where="--lss-timeout", expected=f"{least:g} to {most:g}", found=found)]
 
 
 def bus_of(options: argparse.Namespace) -> tuple[BusConfig, DaemonConfig | None]:

@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from trueangle.commands import Commands
-from trueangle.commands.bus_tool import BusSession, add_bus, bus_of
+from trueangle.commands.bus_tool import BusSession, add_bus, add_lss_timeout, bus_of, lss_timeout_faults
 from trueangle.config import DaemonConfig
 from trueangle.contract.encoder import EncoderSettings
 from trueangle.contract.errors import ContractError, Fault
@@ -75,7 +75,7 @@ def add_parser(commands: Commands) -> None:
     parser.add_argument("--new-node-id", type=int, metavar="N", help="give one unit this node-id (CiA 305)")
     parser.add_argument("--new-bitrate", type=int, metavar="BIT/S", help="give one unit this bit rate (CiA 305)")
     parser.add_argument("--identity", metavar="V:P:R:S", help="which unit: vendor, product, revision, serial")
-    parser.add_argument("--lss-timeout", type=float, default=0.1, metavar="S", help="patience with LSS answers")
+    add_lss_timeout(parser)
     parser.add_argument("--undo", type=Path, metavar="FILE", help="put back what this undo file says")
     parser.add_argument("--undo-file", type=Path, metavar="FILE", help="where to write the undo file")
     parser.add_argument(
@@ -172,9 +172,7 @@ def _option_faults(options: argparse.Namespace, config: DaemonConfig | None) -> 
     if options.new_bitrate is not None and options.new_bitrate not in lss.BIT_TIMING_INDEX:
         expected = f"one of {', '.join(map(str, lss.BIT_TIMING_INDEX))}"
         faults.append(Fault(where="--new-bitrate", expected=expected, found=str(options.new_bitrate)))
-    if not 0.01 <= options.lss_timeout <= 10:
-        found = f"{options.lss_timeout:g}"
-        faults.append(Fault(where="--lss-timeout", expected="0.01 to 10", found=found))
+    faults += lss_timeout_faults(options)
     named = (options.undo, options.new_node_id, options.new_bitrate, options.node_id)
     if config is None and all(option is None for option in named):
         expected = "--config FILE, --node-id, --new-node-id, --new-bitrate or --undo"
@@ -226,7 +224,8 @@ async def _settings(session: BusSession, node_id: int) -> EncoderSettings:
     values = {address: await session.value(node_id, address) for address in addresses}
     if node_id in session.doubled:
         raise NodeFault(
-            f"two units answer to node-id {node_id}: give each its own with --new-node-id and --identity"
+            f"two units answer to node-id {node_id}: give each its own with --new-node-id and --identity; "
+            "trueangled scan --lss VENDOR:PRODUCT lists their identities"
         )
     return settings_from(values)
 

@@ -1,4 +1,4 @@
-"""`trueangled scan`: what is on the bus. It listens, then it reads; it writes nothing."""
+"""`trueangled scan`: what is on the bus. It listens, then it asks; it changes nothing."""
 
 import argparse
 import asyncio
@@ -8,11 +8,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from trueangle.commands import Commands
-from trueangle.commands.bus_tool import BusSession, add_bus, bus_of
+from trueangle.commands.bus_tool import BusSession, add_bus, add_lss_timeout, bus_of, lss_timeout_faults
 from trueangle.config import BusConfig
 from trueangle.contract.encoder import EncoderSettings
 from trueangle.contract.errors import ContractError, Fault
 from trueangle.core.bus_survey import TEMPERATURE_CANDIDATES, BusSurvey
+from trueangle.core.lss import LssIdentity, find_serials
 from trueangle.core.node_setup import ENCODER_OBJECTS, PROFILE_SERIAL, Address, settings_from
 from trueangle.edges.terminal import Progress
 from trueangle.errors import LinkError
@@ -45,34 +46,70 @@ def add_parser(commands: Commands) -> None:
     add_bus(parser)
     parser.add_argument("--listen-s", type=float, default=3.0, metavar="S", help="how long to listen (default 3)")
     parser.add_argument("--beside-master", action="store_true", help="ask nodes although another master does, too")
+    parser.add_argument(
+        "--lss",
+        metavar="V:P",
+        help="also list all units of this vendor and product by LSS (CiA 305), those that share a node-id included; "
+        "about 10 s",
+    )
+    add_lss_timeout(parser)
     parser.add_argument("--json", action="store_true", help="one JSON document instead of the table")
     parser.set_defaults(command=_scan)
 
 
 def _scan(options: argparse.Namespace) -> int:
     settings, _ = bus_of(options)
+    faults = lss_timeout_faults(options)
     if not 0 <= options.listen_s <= 600:
-        raise ContractError([Fault(where="--listen-s", expected="0 to 600", found=f"{options.listen_s:g}")])
+        faults.append(Fault(where="--listen-s", expected="0 to 600", found=f"{options.listen_s:g}"))
+    if faults:
+        raise ContractError(faults)
+    product = None if options.lss is None else _product(options.lss)
     survey = BusSurvey()
-    nodes = asyncio.run(_survey(settings, survey, options))
+    nodes, units = asyncio.run(_survey(settings, survey, options, product))
     asked = not survey.other_master or options.beside_master
     if options.json:
-        print(json.dumps(_document(settings, survey, nodes, asked=asked), indent=2))
+        document = _document(settings, survey, nodes, asked=asked)
+        if units is not None:
+            document["lss_units"] = [str(unit) for unit in units]
+        print(json.dumps(document, indent=2))
     else:
         print(_table(settings, survey, nodes, asked=asked), end="")
-    return 0 if nodes else 1
+        if units is not None:
+            print(
+                "".join(f"unit {unit}\n" for unit in units) or f"no unit of {options.lss} answers by LSS\n", end=""
+            )
+    return 0 if nodes or units else 1
 
 
-async def _survey(settings: BusConfig, survey: BusSurvey, options: argparse.Namespace) -> tuple[FoundNode, ...]:
-    async with BusSession(settings) as session:
+def _product(text: str) -> LssIdentity:
+    """Vendor and product, the other numbers 0."""
+    try:
+        vendor, product = (int(part, 0) for part in text.split(":"))
+        return LssIdentity(vendor_id=vendor, product_code=product, revision_number=0, serial_number=0)
+    except ValueError as error:
+        expected = "vendor:product, two numbers as 0x159 or 345"
+        raise ContractError([Fault(where="--lss", expected=expected, found=text)]) from error
+
+
+async def _survey(
+    settings: BusConfig, survey: BusSurvey, options: argparse.Namespace, product: LssIdentity | None
+) -> tuple[tuple[FoundNode, ...], tuple[LssIdentity, ...] | None]:
+    """The nodes, and the units of the product where one was asked for and the bus is ours to ask."""
+    async with BusSession(settings, lss_s=options.lss_timeout) as session:
         session.listener = survey.take
         await _listen(options.listen_s)
         if survey.other_master and not options.beside_master:
             # Two masters that ask one node at once take each other's answers.
-            return tuple(
-                FoundNode(node_id=node, settings=None, temperatures={}) for node in sorted(survey.nodes())
-            )
+            heard = (FoundNode(node_id=node, settings=None, temperatures={}) for node in sorted(survey.nodes()))
+            return tuple(heard), None
         session.listener = None
+        units = None
+        if product is not None:
+            # First: two units with one node-id still hold their peace.
+            with Progress(sys.stderr, "LSS") as progress:
+                progress(0, f"units of {options.lss}")
+                units = await session.lss(find_serials(product.vendor_id, product.product_code))
         answering = await _probe(session)
         found: list[FoundNode] = []
         with Progress(sys.stderr, "read") as progress:
@@ -85,7 +122,7 @@ async def _survey(settings: BusConfig, survey: BusSurvey, options: argparse.Name
                     else FoundNode(node_id=node_id, settings=None, temperatures={})
                 )
         survey.emergencies |= dict.fromkeys(session.doubled, "two answers to one request: two nodes?")
-        return tuple(found)
+        return tuple(found), units
 
 
 async def _listen(seconds: float) -> None:

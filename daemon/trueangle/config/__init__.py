@@ -16,6 +16,7 @@ from trueangle.config.joints import (
 )
 from trueangle.config.modbus import ModbusConfig, Parity, Right, RtuConfig, TlsConfig
 from trueangle.config.nodes import (
+    ENCODER_PROFILE,
     BusConfig,
     Supervision,
     TemperatureConfig,
@@ -107,6 +108,8 @@ class DaemonConfig:
         nodes = [f"node {j.node_id} on bus {j.bus}" for j in self.joints]
         faults += _repeated("joints", "node_id", nodes, "a node of its own")
         faults += _heads_on_taken_nodes(self.joints)
+        faults += _heads_on_other_buses(self.joints)
+        faults += _sensors_that_cannot_be(self.joints, {bus.name for bus in self.buses})
         ways = [f"{bus.interface} {bus.channel} {dict(bus.options)}" for bus in self.buses]
         faults += _repeated("buses", "channel", ways, "a bus of its own")
         names = {bus.name for bus in self.buses}
@@ -135,6 +138,42 @@ def _heads_on_taken_nodes(joints: tuple[JointConfig, ...]) -> list[Fault]:
                 found = f"{head.node_id}, which is another head's"
                 faults.append(Fault(where=where, expected="a node of its own", found=found))
             taken.add((joint.bus, head.node_id))
+    return faults
+
+
+def _heads_on_other_buses(joints: tuple[JointConfig, ...]) -> list[Fault]:
+    """Heads are averaged over one sample, and only one SYNC makes two nodes sample at one time."""
+    return [
+        Fault(
+            where=f"joints[{i}].further_heads[{k}].bus",
+            expected=f"the joint's own bus, {joint.bus}: heads on two buses have no SYNC in common, so the angles "
+            "that would be averaged are not of one moment",
+            found=head.bus,
+        )
+        for i, joint in enumerate(joints)
+        for k, head in enumerate(joint.further_heads)
+        if head.bus not in (None, joint.bus)
+    ]
+
+
+def _sensors_that_cannot_be(joints: tuple[JointConfig, ...], buses: set[str]) -> list[Fault]:
+    """Temperatures on a bus that is not there, of a further reading head, in an object that an encoder has."""
+    faults: list[Fault] = []
+    encoders = {(joint.bus, joint.node_id) for joint in joints}
+    heads = {(joint.bus, head.node_id) for joint in joints for head in joint.further_heads}
+    for i, joint in enumerate(joints):
+        sensor = joint.temperature
+        if sensor.bus is not None and sensor.bus not in buses:
+            expected = f"one of the buses: {', '.join(sorted(buses))}"
+            faults.append(Fault(where=f"joints[{i}].temperature.bus", expected=expected, found=sensor.bus))
+        if (sensor.bus or joint.bus, sensor.node_id) in heads:
+            expected = "a node that is no further reading head: of those only the position is read"
+            where = f"joints[{i}].temperature.node_id"
+            faults.append(Fault(where=where, expected=expected, found=str(sensor.node_id)))
+        if sensor.index in ENCODER_PROFILE and (sensor.bus or joint.bus, sensor.node_id) in encoders:
+            expected = f"the object of a temperature: node {sensor.node_id} is an encoder"
+            found = f"0x{sensor.index:04X}, an object of the encoder profile CiA 406"
+            faults.append(Fault(where=f"joints[{i}].temperature.index", expected=expected, found=found))
     return faults
 
 

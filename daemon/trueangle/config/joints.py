@@ -83,6 +83,8 @@ class EncoderConfig:
 class HeadConfig:
     """A further reading head on the joint's shaft: a node of its own on the joint's bus."""
 
+    bus: str | None = None
+    """The joint's, or left out: only one SYNC makes heads sample at one time."""
     node_id: Annotated[int, Range(minimum=1, maximum=127)]
     mounting_deg: Annotated[float, Range(minimum=-360, maximum=360)]
     """What it reads less what the joint's own node reads at the same place of the shaft."""

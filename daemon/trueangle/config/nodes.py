@@ -14,6 +14,10 @@ Name = Annotated[str, Pattern(regex=r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,31}", meaning
 Index = Annotated[int, Range(minimum=0x1000, maximum=0xFFFF)]
 Subindex = Annotated[int, Range(minimum=0, maximum=254)]
 _MAPPABLE_BITS = (8, 16, 32)
+ENCODER_PROFILE = range(0x6000, 0x6600)
+"""Objects of CiA 406; none of them is a temperature on an encoder."""
+ANALOGUE_INPUTS = range(0x6400, 0x6404)
+"""CiA 401, analogue inputs of 8, 16, 32 bits and float; on an encoder the limits of its work area."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,7 +100,9 @@ class TemperatureConfig:
     max_rate_c_per_s: Annotated[float, Range(minimum=0.001, maximum=1000)] | None = None
     """A temperature that changes faster is a broken sensor; left out, not looked for."""
     node_id: Annotated[int, Range(minimum=1, maximum=127)] | None = None
-    """The node on the joint's bus that measures it; left out, the encoder does."""
+    """The node that measures it; left out, the encoder does."""
+    bus: str | None = None
+    """The bus of that node; left out, the joint's."""
     tpdo: TpdoConfig = field(default_factory=TpdoConfig)
     poll_ms: Annotated[int, Range(minimum=10, maximum=3_600_000)] | None = None
     """Read by SDO so often instead of being mapped: for units that cannot map it."""
@@ -106,7 +112,7 @@ class TemperatureConfig:
 
     def __post_init__(self) -> None:
         check_bits(self.bits)
-        polled = [("poll_ms", self.poll_ms)]
+        polled = [("poll_ms", self.poll_ms), ("tpdo.period_ms", self.tpdo.period_ms)]
         polled += [("status.poll_ms", self.status.poll_ms)] if self.status is not None else []
         for where, poll_ms in polled:
             if poll_ms is not None and self.stale_s * 1000 <= poll_ms:
@@ -115,12 +121,21 @@ class TemperatureConfig:
         if self.digits is not None and not math.isclose(self.degc_per_unit, 10.0**-self.digits):
             expected = "1, 0.1, 0.01, ... as CiA 404 has it, or check_digits: false"
             raise ContractError([Fault(where="degc_per_unit", expected=expected, found=f"{self.degc_per_unit:g}")])
-        if 0x6000 <= self.index <= 0x65FF:
+        analogue = self.index in ANALOGUE_INPUTS and self.node_id is not None
+        if self.index in ENCODER_PROFILE and not analogue:
             found = f"0x{self.index:04X}, an object of the encoder profile CiA 406"
             raise ContractError([Fault(where="index", expected="the object of a temperature", found=found)])
+        if self.bus is not None and self.node_id is None:
+            expected = "node_id with bus: which node there measures it"
+            raise ContractError([Fault(where="bus", expected=expected, found="none")])
         if self.maximum_c <= self.minimum_c:
             expected = f"more than minimum_c ({self.minimum_c:g})"
             raise ContractError([Fault(where="maximum_c", expected=expected, found=f"{self.maximum_c:g}")])
+
+    @property
+    def by_change(self) -> bool:
+        """The node owes no frame while the temperature does not change."""
+        return self.tpdo.trigger is Trigger.EVENT and self.tpdo.period_ms is None and self.poll_ms is None
 
     @property
     def digits(self) -> int | None:

@@ -51,7 +51,9 @@ class JointChannel:
     limits: Limits
     model: CorrectionModel
     temperature_node: int | None = None
-    """The node on the same bus whose sensor it is; None: the encoder's own."""
+    """The node whose sensor it is; None: the encoder's own."""
+    temperature_bus: str | None = None
+    """The bus of that node; None: the joint's own."""
     temperature_has_status: bool = False
     """The sensor tells a status: until it did, its temperature counts for nothing."""
     policy: ServingPolicy = field(default_factory=ServingPolicy)
@@ -78,9 +80,9 @@ class JointReading:
 class ReadingHead:
     """One reading head at run time; that of most joints is their only one."""
 
-    __slots__ = ("clash", "condition", "fresh", "key", "sample", "synchronous")
+    __slots__ = ("clash", "condition", "fresh", "key", "node_id", "sample", "synchronous")
 
-    def __init__(self, scale: SampleScale, key: int) -> None:
+    def __init__(self, scale: SampleScale, key: int, node_id: int) -> None:
         self.sample = JointSample(scale)
         self.synchronous = scale.synchronous
         self.clash = ClashLatch()
@@ -89,6 +91,7 @@ class ReadingHead:
         """It answered the last SYNC, so the cycle waits for it."""
         self.key = key
         """The slot for a first head, beyond all slots for a further one."""
+        self.node_id = node_id
 
     @property
     def usable(self) -> bool:
@@ -121,10 +124,10 @@ class JointLine(ReadingHead):
     )
 
     def __init__(self, channel: JointChannel) -> None:
-        super().__init__(channel.scale, channel.slot)
+        super().__init__(channel.scale, channel.slot, channel.plan.node_id)
         self.channel = channel
         further = [
-            ReadingHead(head.scale, channel.slot + FURTHER_HEAD * number)
+            ReadingHead(head.scale, channel.slot + FURTHER_HEAD * number, head.plan.node_id)
             for number, head in enumerate(channel.further_heads, start=1)
         ]
         self.heads: tuple[ReadingHead, ...] = (self, *further)

@@ -65,12 +65,12 @@ class Pipeline:
         publish: Callable[[RegisterImage], None],
         on_status: Callable[[int, StatusBit, StatusBit], None],
         sensors: Iterable[tuple[str, NodePlan]] = (),
-        on_clash: Callable[[int, str], None] | None = None,
+        on_clash: Callable[[str, int, str], None] | None = None,
         today: Callable[[], datetime.date] | None = None,
     ) -> None:
         """`sensors`: nodes that send temperatures of other joints too, each with its bus.
 
-        `on_clash(slot, reason)` asks for the joint's node to be identified anew: two nodes send its positions, or
+        `on_clash(bus, node_id, reason)` asks for a node to be identified anew: two nodes send its positions, or
         have just ceased to. `today` must never go back (`LatestDay`); without it nothing is past due.
         """
         self._joints = {channel.slot: JointLine(channel) for channel in channels}
@@ -82,7 +82,8 @@ class Pipeline:
         self._on_clash = on_clash
         self._sensor_plans = tuple(sensors)
         self._lay_table()
-        self._bus_up = {joint.channel.bus: False for joint in self._joints.values()}
+        self._bus_up = dict.fromkeys((bus for bus, _ in self._sensor_plans), False)
+        self._bus_up |= {joint.channel.bus: False for joint in self._joints.values()}
         self._syncs = {joint.channel.bus: SyncHistory() for joint in self._joints.values()}
         self._awaited: set[int] = set()
         self.counters = PipelineCounters()
@@ -105,7 +106,11 @@ class Pipeline:
         self._sensors = SensorNodes(
             {slot: joint.sample for slot, joint in self._joints.items()},
             [
-                (j.channel.bus, j.channel.temperature_node or j.channel.plan.node_id, slot)
+                (
+                    j.channel.temperature_bus or j.channel.bus,
+                    j.channel.temperature_node or j.channel.plan.node_id,
+                    slot,
+                )
                 for slot, j in self._joints.items()
             ],
         )
@@ -288,18 +293,19 @@ class Pipeline:
 
     def _on_two_senders(self, joint: JointLine, head: ReadingHead, now_ns: int) -> None:
         head.sample.two_senders = False
-        if head.clash.on_evidence(now_ns) and head is joint:
-            self._ask_again(joint.channel.slot, "two nodes send its positions")
+        if head.clash.on_evidence(now_ns):
+            self._ask_again(joint, head, "two nodes send its positions")
 
     def _end_clashes(self, now_ns: int) -> None:
         """Which of the two nodes is left is known only when it was identified again."""
-        for slot, joint in self._joints.items():
-            if joint.clash.active and joint.clash.ends(now_ns):
-                self._ask_again(slot, "two nodes sent its positions, one is left")
+        for joint in self._joints.values():
+            for head in joint.heads:
+                if head.clash.active and head.clash.ends(now_ns):
+                    self._ask_again(joint, head, "two nodes sent its positions, one is left")
 
-    def _ask_again(self, slot: int, reason: str) -> None:
+    def _ask_again(self, joint: JointLine, head: ReadingHead, reason: str) -> None:
         if self._on_clash is not None:
-            self._on_clash(slot, reason)
+            self._on_clash(joint.channel.bus, head.node_id, reason)
 
     def _end_cycle(self, now_ns: int) -> None:
         self._awaited.clear()

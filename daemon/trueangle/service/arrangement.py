@@ -63,7 +63,6 @@ class Arrangement:
         self.config: DaemonConfig = loaded.config
         self.joints: Mapping[int, LoadedJoint] = {joint.config.slot: joint for joint in loaded.joints}
         self._plans = {bus.name: node_plans(self.config.joints, bus.name) for bus in self.config.buses}
-        self._on_clash: Callable[[str, int, str], None] = on_clash
         self._on_accepted = on_accepted
         self.pipeline = Pipeline(
             [joint_channel(joint) for joint in loaded.joints],
@@ -71,7 +70,7 @@ class Arrangement:
             publish=publish,
             on_status=self._on_status,
             sensors=[(bus, plan) for bus, plans in self._plans.items() for plan in plans],
-            on_clash=self._clash,
+            on_clash=on_clash,
             today=today,
         )
         now_ns = time.monotonic_ns()
@@ -93,6 +92,7 @@ class Arrangement:
             slot
             for slot, joint in self.joints.items()
             if joint.config.bus in buses
+            and (joint.config.temperature.bus or joint.config.bus) in buses
             and slot in previous.joints
             and joint.config == previous.joints[slot].config
             and joint.model.sha256 == previous.joints[slot].model.sha256
@@ -161,10 +161,6 @@ class Arrangement:
         """The life cycle of any node moved on; those without an encoder are told so alone."""
         condition = _CONDITIONS.get(report.state, NodeCondition.NOT_READY)
         self.pipeline.on_sensor(bus, node_id, condition, time.monotonic_ns())
-
-    def _clash(self, slot: int, reason: str) -> None:
-        joint = self.joints[slot].config
-        self._on_clash(joint.bus, joint.node_id, reason)
 
     def accept(self, slot: int, settings: EncoderSettings) -> list[str]:
         """Why this encoder must not be corrected with the joint's model; empty where it may."""

@@ -154,7 +154,7 @@ def joint_channel(joint: LoadedJoint) -> JointChannel:
             degc_per_unit=config.temperature.degc_per_unit,
             offset_c=config.temperature.offset_c,
             sequence_modulus=None if config.sequence is None else 1 << config.sequence.bits,
-            temperature_by_change=config.temperature.tpdo.trigger is Trigger.EVENT,
+            temperature_by_change=config.temperature.by_change,
             synchronous=config.tpdo.trigger is Trigger.SYNC,
             position_period_ms=config.tpdo.period_ms if config.tpdo.trigger is Trigger.TIMER else None,
         ),
@@ -167,6 +167,7 @@ def joint_channel(joint: LoadedJoint) -> JointChannel:
         ),
         model=joint.model,
         temperature_node=config.temperature.node_id,
+        temperature_bus=config.temperature.bus,
         temperature_has_status=config.temperature.status is not None,
     )
     return served_as_configured(channel, config, metadata.calibration)

@@ -125,8 +125,8 @@ class CanBus:
         event = f"{(bit.name or '').lower()}_{'begins' if change.begins else 'ends'}"
         _log.log(
             logging.WARNING if change.begins else logging.INFO,
-            "can_bus bus=%s event=%s reason=%r count=%d lasted_s=%.1f",
-            self.settings.name, event, change.reason, change.count, change.lasted_s,
+            "event=%s bus=%s reason=%r count=%d lasted_s=%.1f",
+            event, self.settings.name, change.reason, change.count, change.lasted_s,
         )  # fmt: skip
 
     def _on_error_frame(self, error_class: int, data: bytes) -> None:
@@ -194,9 +194,9 @@ class CanBus:
             self._reported = (up, reason)
             _log.log(
                 logging.INFO if up else logging.WARNING,
-                "can_bus bus=%s up=%s opened=%d reason=%r",
+                "event=bus_%s bus=%s opened=%d reason=%r",
+                "up" if up else "down",
                 self.settings.name,
-                up,
                 self.counters.times_opened,
                 reason,
             )

@@ -17,9 +17,9 @@ from trueangle.contract.encoder import EncoderSettings
 from trueangle.core.bus import backoff_s
 from trueangle.core.clash import HeartbeatWatch
 from trueangle.core.frames import NodePlan, PolledObject, Quantity, slot_of
-from trueangle.core.node_setup import Address, NodeReport, NodeState, SdoWrite
+from trueangle.core.node_setup import Address, NodeReport, NodeState, SdoWrite, shown
 from trueangle.edges.can_master.bring_up import BringUp
-from trueangle.edges.can_master.node_log import NodeLog
+from trueangle.edges.can_master.node_log import OTHER_MASTER, NodeLog
 from trueangle.edges.can_master.sdo import (
     SDO_REPLY_BASE,
     SDO_REQUEST_BASE,
@@ -117,6 +117,7 @@ class NodeSupervisor:
             except (LinkError, NodeFault) as error:
                 self._take_out(error)
             await self._pause()
+            self._log.tick(time.monotonic(), self._timing.other_master_quiet_s)
 
     async def _bring_up(self) -> None:
         steps = self._steps
@@ -175,6 +176,7 @@ class NodeSupervisor:
                 async with asyncio.timeout(max(0.0, due_s - time.monotonic())):
                     await self._stir()
             now_s = time.monotonic()
+            self._log.tick(now_s, self._timing.other_master_quiet_s)
             if limit_s is not None and now_s >= self._heartbeat_s + limit_s:
                 raise NodeSilent(f"no heartbeat for {limit_s:g} s")
             for i, (polled, at_s) in enumerate(polls):
@@ -256,9 +258,13 @@ class NodeSupervisor:
 
     def _on_foreign_request(self, data: bytes) -> None:
         """Another master, a service tool: what it reads harms nothing, what it writes may move the phase."""
+        if not self._sdo.is_foreign(data):
+            return
+        address = shown((int.from_bytes(data[1:3], "little"), data[3]))
+        self._log.other_master(address, time.monotonic())
         if self._sdo.on_request(data):
-            index, subindex = int.from_bytes(data[1:3], "little"), data[3]
-            self.distrust(f"another master writes to the node (0x{index:04X}:{subindex})")
+            # No reason to try again at once: it is seldom done after one object.
+            self._disturb(LinkError(f"{OTHER_MASTER} writes to the node ({address})"))
 
     def _on_heartbeat(self, data: bytes) -> None:
         if len(data) != 1:

@@ -6,7 +6,7 @@ import time
 from trueangle.core.frames import NodePlan
 from trueangle.core.node_setup import NodeReport, NodeState
 
-EMERGENCY = "EMCY"
+EMERGENCY, OTHER_MASTER = "EMCY", "another master"
 
 _log = logging.getLogger(__name__)
 
@@ -20,14 +20,38 @@ class NodeLog:
         self._out_since_s = time.monotonic()
         self.emergencies = 0
         """EMCY messages since the node was last in service."""
+        self._other_since_s: float | None = None
+        """Since when another master asks the node; None: none does."""
+        self._other_last_s = 0.0
+        self._other_requests = 0
+
+    def other_master(self, address: str, now_s: float) -> None:
+        """Another master asks the node for this object, or writes it."""
+        if self._other_since_s is None:
+            self._other_since_s, self._other_requests = now_s, 0
+            _log.warning(
+                "event=other_master_begins %s object=%s reason='SDO requests that are not ours'",
+                self._node, address,
+            )  # fmt: skip
+        self._other_last_s = now_s
+        self._other_requests += 1
+
+    def tick(self, now_s: float, quiet_s: float) -> None:
+        """What is due although nothing changed."""
+        if self._other_since_s is not None and now_s - self._other_last_s >= quiet_s:
+            lasted_s = self._other_last_s - self._other_since_s
+            self._other_since_s = None
+            _log.info(
+                "event=other_master_ends %s requests=%d lasted_s=%.1f", self._node, self._other_requests, lasted_s
+            )
 
     def tell(self, report: NodeReport, failures: int) -> None:
         """Log this report where it says something new."""
-        node = f"{self._node} state={report.state.value}"
+        node = f"event=node_{report.state.value} {self._node}"
         if report.in_service:
             out_s = time.monotonic() - self._out_since_s
             _log.info(
-                "node %s attempts=%d out_s=%.1f emergencies=%d reason=%r",
+                "%s attempts=%d out_s=%.1f emergencies=%d reason=%r",
                 node, failures + 1, out_s, self.emergencies, report.reason,
             )  # fmt: skip
             self._last_failure = None
@@ -35,10 +59,10 @@ class NodeLog:
         elif report.state in (NodeState.LOST, NodeState.FAULT, NodeState.CLASH):
             if self._last_failure is None:
                 self._out_since_s = time.monotonic()
-            # In a storm each EMCY differs in its last bytes: the first speaks for all.
-            kind = EMERGENCY if report.reason.startswith(EMERGENCY) else report.reason
+            # In a storm each EMCY differs in its last bytes, each write in its object: the first speaks for all.
+            kind = next((k for k in (EMERGENCY, OTHER_MASTER) if report.reason.startswith(k)), report.reason)
             if kind != self._last_failure:
-                _log.warning("node %s reason=%r", node, report.reason)
+                _log.warning("%s reason=%r", node, report.reason)
             self._last_failure = kind
         elif failures == 0:
-            _log.info("node %s", node)
+            _log.info("%s", node)

@@ -2,6 +2,7 @@
 
 import asyncio
 import queue
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -21,6 +22,10 @@ UNASKED_LIMIT = 2
 """So many answers that nobody asked for since the bring-up began are a second node; one may be late."""
 SDO_ABORT, CLIENT_COMMAND, DOWNLOADS = 0x80, 0xE0, (0x00, 0x20)
 """Of the command byte: its upper three bits say what the client asks; 0 and 1 write (CiA 301, 7.2.4.3)."""
+WITH_OBJECT = (0x20, 0x40, 0x60, SDO_ABORT)
+"""Commands of either side, by those bits, whose bytes 1 to 3 name the object."""
+FOREIGN_REQUESTS = 8
+"""So many of another master's requests are remembered until they are answered."""
 _INTERRUPTION = bytes((0x80, 0, 0, 0, 0, 0, 0, 0))
 """An SDO abort with code 0, which no node sends."""
 
@@ -45,6 +50,8 @@ class MasterTiming:
     backoff_limit_s: float = 2.0
     phase_check_s: float = 1.0
     """How often the objects that move the encoder's phase are read again in service."""
+    other_master_quiet_s: float = 10.0
+    """Another master that asked nothing for so long is gone."""
     stable_s: float = 10.0
     """A node that was in service so long starts again with the shortest pause."""
 
@@ -93,6 +100,8 @@ class SdoPort:
         client.MAX_RETRIES = timing.sdo_attempts  # pyright: ignore[reportAttributeAccessIssue]
         self._client = client
         self._foreign_requests = self._answers = self._unasked = 0
+        self._foreign_objects: deque[bytes] = deque(maxlen=FOREIGN_REQUESTS)
+        """What another master asked for and was not answered yet."""
 
     def begin(self) -> None:
         """A bring-up begins: what was asked before is settled."""
@@ -110,16 +119,28 @@ class SdoPort:
             self._unasked += 1
             return self._unasked >= UNASKED_LIMIT
         self._answers += 1
-        self._answer(data)
+        if not self._is_anothers(data):
+            self._answer(data)
         return False
+
+    def is_foreign(self, data: bytes) -> bool:
+        """Whether another master sent this request; else it is our own, come back by an interface that echoes."""
+        return len(data) == 8 and data != self._network.asked.get(self._request_id)
 
     def on_request(self, data: bytes) -> bool:
         """A request that another master sent to the node; True where it writes. Its answer is not ours."""
-        if len(data) != 8 or data == self._network.asked.get(self._request_id):
-            return False  # the second: our own, come back by an interface that echoes
         if data[0] != SDO_ABORT:
             self._foreign_requests += 1
+            if data[0] & CLIENT_COMMAND in WITH_OBJECT:
+                self._foreign_objects.append(data[1:4])
         return data[0] & CLIENT_COMMAND in DOWNLOADS
+
+    def _is_anothers(self, data: bytes) -> bool:
+        """Whether another master asked for what this answers, and we did not."""
+        if data[0] & CLIENT_COMMAND not in WITH_OBJECT or data[1:4] not in self._foreign_objects:
+            return False
+        self._foreign_objects.remove(data[1:4])
+        return data[1:4] != self._network.asked.get(self._request_id, b"")[1:4]
 
     def _asked(self) -> int:
         return self._network.requests.get(self._request_id, 0) + self._foreign_requests
