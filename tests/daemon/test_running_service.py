@@ -393,6 +393,21 @@ def test_an_encoder_that_differs_is_served_raw_and_never_corrected(
     run(scenario, TWO, node(1, objects={address: (value, size)}), node(2))
 
 
+def test_the_turns_go_on_where_the_range_that_the_node_tells_ends(run: Run) -> None:
+    """Nobody has configured it: of four turns, counted past the end of the fourth."""
+    total = 4 * COUNTS_PER_REV
+    device = node(counts=at(total - 100_000), objects={(0x6002, 0): (total, 4)})
+
+    async def scenario(r: Rig) -> None:
+        await r.until(1, lambda read: read.raw_mas == raw_mas(total - 100_000))
+        assert (await r.live(1)).turns == 3
+        device.counts = at(50_000)
+        await r.until(1, lambda read: read.raw_mas == raw_mas(50_000))
+        assert (await r.live(1)).turns == 4
+
+    run(scenario, ONE, device)
+
+
 # Another transport
 
 
