@@ -1,8 +1,8 @@
 """Every fault of a node, its sensor or its bus, begun and ended while a second joint is served: one rule for all.
 
-The process lives. The other joint is good in every image. No image holds an angle as VALID that is not the true
-one. The log has one line where the joint's outage begins, that or a further one names the reason, and one line
-where it ends.
+The process lives. The other joint is good in every image. No image holds an angle as VALID that is stale or not
+the true one. The log has one line where the joint's outage begins, that or a further one names the reason, and one
+line where it ends.
 """
 
 import asyncio
@@ -35,6 +35,8 @@ REST = 1_234_567
 TRUE_MAS = raw_mas(REST) + 1e3 * correction_arcsec(REST, 2500)
 TOLERANCE_MAS = 4.0
 """Rounding, and what the last bit of a temperature that dithers changes; 10 degC change more than 10 (below)."""
+STALE_MS = 500
+"""As in the configuration."""
 RX_OVERFLOW = (0x2000_0004, b"\0\x01\0\0\0\0\0\0")
 """An error frame as linux/can/error.h has it: the controller had no room for what it received."""
 BASE, ELBOW = joint_yaml(1, "base"), joint_yaml(2, "elbow", model="twin.onnx")
@@ -133,13 +135,19 @@ class Fault:
 
 WATCHED = BASE.replace("stale_s: 1}", "stale_s: 1, frozen_s: 1, max_rate_c_per_s: 1}")
 FACTORY = {(0x1800, 2): (1, 1), (0x1A00, 0): (2, 1), (0x1A00, 1): (0x2100_0010, 4), (0x1A00, 2): (0x6004_0020, 4)}
+SWIFT = BASE + "    motion: {max_speed_deg_s: 100000}\n"
+"""No jump: what was written to the node alone can tell."""
 NODE_ID_TAKEN = both(
     lambda s: setattr(s.stranger, "deaf", False), lambda s: s.stranger.boot_up(s.stranger.objects)
 )
 
 FAULTS = {
     "node silent": Fault(begin=put(deaf=True), end=put(deaf=False), bit=StatusBit.STALE),
-    "node rebooting": Fault(begin=lambda s: s.node.reboot(), end=nothing, bit=StatusBit.NODE_NOT_READY),
+    "node rebooting": Fault(  # it starts by itself, and sends another mapping on the same COB-ID
+        begin=both(lambda s: s.node.reboot(FACTORY), put(state=0x05)),
+        end=nothing,
+        bit=StatusBit.NODE_NOT_READY,
+    ),
     "node replaced": Fault(
         begin=lambda s: s.node.reboot({(0x650B, 0): (815, 4)}),
         end=lambda s: s.node.reboot(),
@@ -149,16 +157,19 @@ FAULTS = {
         begin=both(lambda s: s.write((0x6003, 0), 1000), moved(REST + 1000)),
         end=both(lambda s: s.write((0x6003, 0), 0), moved(REST)),
         bit=StatusBit.ENCODER_DIFFERS,
+        joint=SWIFT,
     ),
     "code sequence behind our back": Fault(
         begin=both(lambda s: s.write((0x6000, 0), 5, 2), moved(COUNTS_PER_REV - REST)),
         end=both(lambda s: s.write((0x6000, 0), 4, 2), moved(REST)),
         bit=StatusBit.ENCODER_DIFFERS,
+        joint=SWIFT,
     ),
     "scaling behind our back": Fault(
         begin=both(lambda s: s.write((0x6001, 0), 65_536), moved(REST // 50)),
         end=both(lambda s: s.write((0x6001, 0), COUNTS_PER_REV), moved(REST)),
         bit=StatusBit.ENCODER_DIFFERS,
+        joint=SWIFT,
     ),
     "node id taken": Fault(
         begin=NODE_ID_TAKEN, end=lambda s: setattr(s.stranger, "deaf", True), bit=StatusBit.NODE_ID_CLASH
@@ -240,12 +251,12 @@ def configured(fault: Fault) -> str:
     return config.replace("buses: [", leg)
 
 
-def slot_of(image: RegisterImage, slot: int) -> tuple[StatusBit, int, int]:
-    """Status, corrected and raw of one joint in milli-arcseconds."""
-    data = image.read(10 + 12 * (slot - 1), 7)
+def slot_of(image: RegisterImage, slot: int) -> tuple[StatusBit, int, int, int]:
+    """Status, corrected and raw in milli-arcseconds and age in ms of one joint."""
+    data = image.read(10 + 12 * (slot - 1), 11)
     assert data is not None
-    status, corrected_mas, raw = struct.unpack(">I2xii", data)
-    return StatusBit(status), corrected_mas, raw
+    status, corrected_mas, raw, age_ms = struct.unpack(">I2xii6xH", data)
+    return StatusBit(status), corrected_mas, raw, age_ms
 
 
 @contextmanager
@@ -325,8 +336,9 @@ def test_a_fault_is_survived_told_and_never_served(
 
 def hold_to_the_rule(images: list[RegisterImage]) -> None:
     for image in images:
-        status, corrected_mas, raw = slot_of(image, 1)
+        status, corrected_mas, raw, age_ms = slot_of(image, 1)
         if StatusBit.VALID in status:
+            assert age_ms <= STALE_MS
             assert raw == raw_mas(REST)
             assert same_angle(corrected_mas, TRUE_MAS, TOLERANCE_MAS)
         else:
