@@ -115,7 +115,7 @@ FAULTS: dict[str, tuple[str, ...]] = {
     "bus lost": (
         f"{RULE}[bus lost]",
         "daemon/test_service_life.py::test_a_bus_that_is_lost_takes_its_joints_out_and_comes_back",
-        "daemon/test_can_bus.py::test_interface_that_goes_down_or_is_removed_is_opened_again",
+        "daemon/test_socketcan_link.py::test_interface_that_goes_down_or_is_removed_is_opened_again",
     ),
     "model file replaced by garbage during a reload": (
         "daemon/test_reload.py::test_what_is_refused_leaves_all_as_it_was_and_says_why_until_a_good_one_comes",
@@ -174,7 +174,7 @@ FAULTS: dict[str, tuple[str, ...]] = {
     ),
     "one line says what began, one when it ended": (
         "daemon/test_modbus_limits.py::test_trouble_has_a_line_at_its_begin_one_a_minute_and_one_when_it_is_over",
-        "daemon/test_can_bus.py::test_socketcan_error_passive_shows_until_the_controller_is_well_again",
+        "daemon/test_socketcan_link.py::test_socketcan_error_passive_shows_until_the_controller_is_well_again",
         "daemon/test_outage.py::test_an_outage_is_a_line_at_its_begin_and_one_at_its_end_with_the_time_of_each_reason",
     ),
 }
