@@ -1,6 +1,7 @@
 """Rules about imports that only a running interpreter can hold."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -50,3 +51,22 @@ def test_every_package_module_opens_with_a_docstring() -> None:
         if not path.read_text("utf-8").lstrip().startswith('"""')
     ]
     assert silent == []
+
+
+DATED = {
+    "commands/commission.py",
+    "commands/monitor.py",
+    "commands/record.py",
+    "edges/recorder.py",
+    "service/running.py",
+}
+"""What writes a date for people, or asks whether a calibration is past due."""
+
+
+def test_nothing_but_dates_is_read_from_a_clock_that_may_be_set_back() -> None:
+    daemon = ROOT / "daemon" / "trueangle"
+    wall = re.compile(r"\btime\.time(_ns)?\(|\.(now|today|utcnow|localtime)\(|CLOCK_REALTIME")
+    readers = {
+        str(path.relative_to(daemon)) for path in daemon.rglob("*.py") if wall.search(path.read_text("utf-8"))
+    }
+    assert readers == DATED

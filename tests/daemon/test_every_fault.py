@@ -353,4 +353,9 @@ def told_once(messages: list[str], bit: StatusBit) -> None:
     assert events[-1] == "valid", lines
     assert set(events[1:-1]) <= {"reason_added"}, lines
     assert all("slot=1 joint='base'" in line for line in lines)
-    assert (bit.name or "").lower() in " ".join(lines[:-1])
+    told: set[str] = set()
+    for line in lines[:-1]:
+        reasons = set(line.partition("reasons=")[2].split()[0].split(","))
+        assert reasons - told, lines  # no line that says nothing new
+        told |= reasons
+    assert (bit.name or "").lower() in told

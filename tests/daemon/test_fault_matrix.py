@@ -152,6 +152,8 @@ FAULTS: dict[str, tuple[str, ...]] = {
         "daemon/test_modbus_tls.py::test_a_missing_foreign_or_expired_certificate_is_refused_and_logged_once",
     ),
     "clock set back": (
+        "test_architecture.py::test_nothing_but_dates_is_read_from_a_clock_that_may_be_set_back",
+        "daemon/test_service_life.py::test_an_image_of_a_pipeline_that_stands_still_is_soon_served_no_more",
         "daemon/test_running_faults.py::test_wall_clock_that_is_set_back_moves_no_deadline",
         "daemon/test_temperature_watch.py::test_a_clock_set_back_leaves_a_past_due_calibration_past_due",
     ),

@@ -9,6 +9,7 @@ import os
 import signal
 import socket
 import threading
+import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from pathlib import Path
@@ -266,11 +267,16 @@ def test_the_watchdog_is_fed_only_after_ready_and_while_images_are_published(
 def test_an_image_of_a_pipeline_that_stands_still_is_soon_served_no_more(
     serve: Serve, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without systemd nobody would end such a process: its last angle must not stay valid for ever."""
+    """Without systemd nobody would end such a process: its last angle must not stay valid for ever.
+
+    Nor until a wall clock that was set back has caught up.
+    """
 
     async def scenario() -> None:
         async with serve(ONE, node()) as r:
             await r.until_status(1, StatusBit.VALID)
+            monkeypatch.setattr(time, "time", lambda: 0.0)
+            monkeypatch.setattr(time, "time_ns", lambda: 0)
             monkeypatch.setattr(Pipeline, "_serve", lambda _self, _now_ns: None)
             async with asyncio.timeout(LIMIT_S):
                 while (answer := await r.plc.ask(read_request(4, 10, 12)))[7] == 4:
