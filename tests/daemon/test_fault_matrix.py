@@ -118,7 +118,7 @@ FAULTS: dict[str, tuple[str, ...]] = {
         "daemon/test_socketcan_link.py::test_interface_that_goes_down_or_is_removed_is_opened_again",
     ),
     "model file replaced by garbage during a reload": (
-        "daemon/test_reload.py::test_what_is_refused_leaves_all_as_it_was_and_says_why_until_a_good_one_comes",
+        "daemon/test_reload_refused.py::test_what_is_refused_leaves_all_as_it_was_and_says_why_until_a_good_one_comes",
     ),
     "300 connections": (
         (

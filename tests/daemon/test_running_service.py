@@ -21,6 +21,7 @@ from tests.fakes.running_service import (
     Rig,
     config_yaml,
     correction_arcsec,
+    images_of,
     joint_yaml,
     on_virtual_bus,
     on_wire,
@@ -31,7 +32,6 @@ from tests.fakes.running_service import (
 
 from trueangle.core.health import StatusBit
 from trueangle.core.registers import RegisterImage
-from trueangle.edges.modbus_server import ModbusTcpServer
 
 BASE, ELBOW = joint_yaml(1, "base"), joint_yaml(2, "elbow", model="twin.onnx")
 ONE, TWO = config_yaml(BASE), config_yaml(BASE, ELBOW)
@@ -71,16 +71,7 @@ def run(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> It
 
 @pytest.fixture
 def images(monkeypatch: pytest.MonkeyPatch) -> list[RegisterImage]:
-    """Every image that was ever served: one that lives for microseconds is met by no poll, but a PLC may."""
-    seen: list[RegisterImage] = []
-    publish = ModbusTcpServer.publish
-
-    def record(server: ModbusTcpServer, image: RegisterImage) -> None:
-        seen.append(image)
-        publish(server, image)
-
-    monkeypatch.setattr(ModbusTcpServer, "publish", record)
-    return seen
+    return images_of(monkeypatch)
 
 
 def served_raw_mas(image: RegisterImage, slot: int = 1) -> int:

@@ -30,6 +30,7 @@ from tests.fakes.running_service import (
     raw_mas,
     started,
 )
+from tests.fakes.systemd_manager import Manager
 
 from trueangle.core.health import StatusBit
 from trueangle.core.pipeline import Pipeline
@@ -40,33 +41,6 @@ BASE, ELBOW = joint_yaml(1, "base"), joint_yaml(2, "elbow", model="twin.onnx")
 ONE, TWO = config_yaml(BASE), config_yaml(BASE, ELBOW)
 BUS_DOWN_SERVICE = 1 << 1
 Serve = Callable[..., AbstractAsyncContextManager[Rig]]
-
-
-class Manager:
-    """What systemd is to the service: the socket of NOTIFY_SOCKET, and WATCHDOG_USEC of 300 ms."""
-
-    def __init__(self, path: Path) -> None:
-        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self.socket.bind(str(path))
-        self.socket.setblocking(False)
-        self.environment = {"NOTIFY_SOCKET": str(path), "WATCHDOG_USEC": "300000"}
-        self.told: list[str] = []
-
-    def read(self) -> list[str]:
-        """All that was told so far."""
-        while True:
-            try:
-                self.told.append(self.socket.recv(4096).decode())
-            except BlockingIOError:
-                return self.told
-
-    def heard(self, start: str) -> bool:
-        return any(message.startswith(start) for message in self.read())
-
-    def ready(self) -> str:
-        """The one READY message."""
-        (message,) = [message for message in self.read() if message.startswith("READY=1")]
-        return message
 
 
 @pytest.fixture
