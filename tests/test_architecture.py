@@ -1,6 +1,7 @@
 """Rules about imports that only a running interpreter can hold."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -50,3 +51,22 @@ def test_every_package_module_opens_with_a_docstring() -> None:
         if not path.read_text("utf-8").lstrip().startswith('"""')
     ]
     assert silent == []
+
+
+DATED = {
+    "commands/commission.py": 1,
+    "commands/monitor.py": 2,
+    "commands/record.py": 1,
+    "edges/recorder.py": 1,
+    "service/running.py": 2,
+}
+"""How often a file reads the wall clock: to write a date for people, or to ask whether a calibration is past due."""
+
+
+def test_nothing_but_dates_is_read_from_a_clock_that_may_be_set_back() -> None:
+    daemon = ROOT / "daemon" / "trueangle"
+    wall = re.compile(r"\btime\.time(?:_ns)?\(|\.(?:now|today|utcnow|localtime)\(|CLOCK_REALTIME")
+    reads = {
+        str(path.relative_to(daemon)): len(wall.findall(path.read_text("utf-8"))) for path in daemon.rglob("*.py")
+    }
+    assert {path: count for path, count in reads.items() if count} == DATED

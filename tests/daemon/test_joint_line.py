@@ -1,5 +1,8 @@
 """The short way to a good status word agrees with `judge` on everything that can be known of a joint."""
 
+from functools import reduce
+
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.daemon.test_pipeline import MS, Bench
@@ -77,6 +80,50 @@ def test_the_short_way_and_judge_agree(line: JointLine, bus_up: bool, sync_age_n
     elif last_sync_ns is not None:
         # Without any SYNC seen the short way says nothing and leaves it to `judge`.
         assert judged != GOOD
+
+
+def changed(line: JointLine, name: str, value: object) -> JointLine:
+    """This joint with one thing changed."""
+    *path, last = name.split(".")
+    setattr(reduce(getattr, path, line), last, value)
+    return line
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("condition", NodeCondition.NOT_READY),
+        ("clash.active", True),
+        ("sample.position.referenced", False),
+        ("sample.position.jumped", True),
+        ("served.user_zero_known", False),
+        ("past_due", True),
+        ("sample.position.stamp_ns", NOW_NS - 50 * MS - 1),
+        ("sample.position.stamp_ns", None),
+        ("sample.position.raw_deg", 300.1),
+        ("sample.temperature_c", 9.9),
+        ("sample.temperature_c", 40.1),
+        ("sample.temperature_c", NAN),
+        ("sample.temperature_stamp_ns", NOW_NS - 2000 * MS - 1),
+        ("sample.temperature_status", 1),
+        ("sample.temperature_watch._unsettled", 1),
+        ("correction", None),
+        ("correction", Correction(NAN, 1.0)),
+        ("correction", Correction(18_000.1, 1.0)),
+        ("correction", Correction(-18_000.1, 1.0)),
+    ],
+)
+def test_each_reason_alone_stops_the_short_way_and_is_one_to_judge(name: str, value: object) -> None:
+    line = changed(good_line(), name, value)
+    stamp_ns = line.angle.stamp_ns
+    age_ms = None if stamp_ns is None else (NOW_NS - stamp_ns) * 1e-6
+    assert not line.nothing_against(line.correction, age_ms, NOW_NS, NOW_NS)
+    assert line.judged(line.correction, age_ms, NOW_NS, bus_up=True, last_sync_ns=NOW_NS) != GOOD
+
+
+def test_a_sync_that_stopped_alone_stops_the_short_way() -> None:
+    line = good_line()
+    assert not line.nothing_against(line.correction, 1.0, NOW_NS, NOW_NS - 50 * MS - 1)
 
 
 def test_a_joint_that_nothing_speaks_against_goes_the_short_way() -> None:

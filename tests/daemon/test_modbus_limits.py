@@ -14,7 +14,7 @@ from tests.fakes.modbus_tcp_client import ModbusTcpClient, frame, read_request
 from trueangle.core.commands import CommandDesk
 from trueangle.core.modbus_pdu import Identification
 from trueangle.edges.modbus_server import ModbusLimits, ModbusTcpServer
-from trueangle.edges.modbus_server.limits import host_address
+from trueangle.edges.modbus_server.limits import TroubleLog, host_address
 from trueangle.edges.modbus_server.server import Listener
 
 READ = read_request(4, 2, 2, unit=UNIT_ID)
@@ -73,6 +73,45 @@ def test_a_client_from_elsewhere_is_closed_at_once(caplog: pytest.LogCaptureFixt
 
     asyncio.run(scenario())
     assert sum("event=modbus_not_allowed" in message for message in caplog.messages) == 1
+
+
+def test_trouble_has_a_line_at_its_begin_one_a_minute_and_one_when_it_is_over(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    log = TroubleLog()
+    with caplog.at_level("INFO", logger="trueangle"):
+        for now_s in (0.0, 1.0, 59.9, 60.0, 61.0):
+            log.report("modbus_refused", "192.0.2.7", f"at {now_s:g}", now_s)
+        log.report("modbus_broken_stream", "192.0.2.8", "garbage", 100.0)
+        assert log.end_what_is_over(120.9)
+        assert log.end_what_is_over(121.0)
+        assert not log.end_what_is_over(160.0)
+        log.report("modbus_refused", "192.0.2.7", "again", 170.0)
+    assert caplog.messages == [
+        "event=modbus_refused peer=192.0.2.7 count=1 reason='at 0'",
+        "event=modbus_refused peer=192.0.2.7 count=3 reason='at 60'",
+        "event=modbus_broken_stream peer=192.0.2.8 count=1 reason='garbage'",
+        "event=modbus_refused_over lasted_s=61.0 count=5",
+        "event=modbus_broken_stream_over lasted_s=0.0 count=1",
+        "event=modbus_refused peer=192.0.2.7 count=1 reason='again'",
+    ]
+
+
+def test_the_end_of_trouble_is_logged_though_no_client_comes_any_more(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    for module in ("limits", "server"):
+        monkeypatch.setattr(f"trueangle.edges.modbus_server.{module}.REPORT_INTERVAL_S", 0.02)
+
+    async def scenario() -> None:
+        async with serving(limits("127.0.0.2")) as (_, port):
+            client = await ModbusTcpClient.connect(port, "127.0.0.1")
+            assert await client.at_end()
+            await client.close()
+            await until(lambda: any("event=modbus_not_allowed_over" in message for message in caplog.messages))
+
+    with caplog.at_level("INFO", logger="trueangle"):
+        asyncio.run(scenario())
 
 
 def test_three_hundred_connections_are_held_to_the_limit_and_the_first_are_served() -> None:

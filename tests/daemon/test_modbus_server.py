@@ -192,7 +192,7 @@ def test_one_address_cannot_take_all_connections() -> None:
     asyncio.run(scenario())
 
 
-def test_a_silent_connection_is_closed_after_the_idle_time() -> None:
+def test_a_silent_connection_is_closed_after_the_idle_time(caplog: pytest.LogCaptureFixture) -> None:
     async def scenario() -> None:
         async with serving(ModbusLimits(idle_timeout_s=0.05)) as (server, port):
             client = await ModbusTcpClient.connect(port)
@@ -201,6 +201,7 @@ def test_a_silent_connection_is_closed_after_the_idle_time() -> None:
             await client.close()
 
     asyncio.run(scenario())
+    assert "event=modbus_idle_closed peer=127.0.0.1 count=1 reason='no whole request'" in caplog.messages
 
 
 def test_single_bytes_do_not_keep_a_connection_open() -> None:
@@ -276,7 +277,7 @@ def test_a_client_that_does_not_read_is_not_read_from_and_gets_every_answer_late
     asyncio.run(scenario())
 
 
-def test_a_client_that_never_reads_is_ended_by_the_idle_time() -> None:
+def test_a_client_that_never_reads_is_ended_by_the_idle_time(caplog: pytest.LogCaptureFixture) -> None:
     async def scenario() -> None:
         async with serving(ModbusLimits(idle_timeout_s=0.2, unsent_bytes=1024)) as (server, port):
             client = deaf_client(port)
@@ -286,6 +287,8 @@ def test_a_client_that_never_reads_is_ended_by_the_idle_time() -> None:
             client.close()
 
     asyncio.run(scenario())
+    (line,) = [message for message in caplog.messages if "event=modbus_idle_closed" in message]
+    assert "bytes of answers not taken" in line
 
 
 def test_closing_does_not_wait_for_a_client_that_does_not_read() -> None:

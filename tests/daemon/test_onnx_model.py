@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from trueangle.contract.errors import ContractError
-from trueangle.edges.onnx_model import load_model
+from trueangle.edges.onnx_model import MAX_MODEL_BYTES, load_model
 
 DATA = Path(__file__).parents[1] / "data" / "models"
 
@@ -111,6 +111,31 @@ def test_a_run_that_fails_gives_nan_and_no_exception() -> None:
     model = load_model(DATA / "good.onnx")
     answer = model.correct(np.zeros(3), np.zeros(2))
     assert np.isnan(answer.correction_arcsec).all()
+
+
+class Runtime:
+    """A session whose run writes no answer, or fails."""
+
+    def __init__(self, error: Exception | None) -> None:
+        self.error = error
+
+    def run_with_iobinding(self, _: object) -> None:
+        if self.error is not None:
+            raise self.error
+
+
+@pytest.mark.parametrize("error", [None, RuntimeError("planted")])
+def test_the_answer_of_the_sample_before_is_never_given_again(error: Exception | None) -> None:
+    model = load_model(DATA / "good.onnx")
+    assert model.correct_sample(135.6, 25.0).correction_arcsec != 0.0
+    model._one._session = Runtime(error)
+    assert np.isnan(model.correct_sample(135.6, 25.0).correction_arcsec)
+
+
+def test_a_file_too_large_to_be_a_model_is_not_even_read(tmp_path: Path) -> None:
+    with (tmp_path / "huge.onnx").open("wb") as file:
+        file.truncate(MAX_MODEL_BYTES + 1)
+    assert f"expected at most {MAX_MODEL_BYTES} bytes, found a larger file" in refused(tmp_path / "huge.onnx")
 
 
 def test_the_runtime_s_telemetry_is_off_before_it_is_imported() -> None:

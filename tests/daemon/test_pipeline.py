@@ -372,6 +372,7 @@ def test_a_node_that_comes_back_is_served_only_after_new_position_and_new_temper
     bench = running()
     bench.pipeline.on_node(1, NodeCondition.NOT_READY, bench.now_ns)
     bench.pipeline.on_node(1, NodeCondition.RUNNING, bench.now_ns)
+    assert bench.fast(1)["raw"] == MARKER
     bench.cycle(2)
     assert bench.status(1) == StatusBit.CONFIGURED | StatusBit.TEMPERATURE_STALE
     bench.feed(bench.temperature(1, 20.0))

@@ -10,7 +10,7 @@ import pytest
 from tests.fakes.can_wire import CanWire
 from tests.fakes.encoder_node import COUNTS_PER_REV, EncoderNode
 from tests.fakes.register_values import joint_state
-from tests.fakes.running_service import LIMIT_S, config_yaml, joint_yaml, on_wire, started
+from tests.fakes.running_service import GOOD, LIMIT_S, config_yaml, images_of, joint_yaml, on_wire, started
 from tests.fakes.served_images import image_of
 from tests.fakes.trueangled_process import trueangled
 
@@ -287,3 +287,39 @@ def test_the_running_daemon_records_what_it_serves_and_says_when_it_cannot(
     raw_deg = 1_234_567 * 360 / COUNTS_PER_REV
     assert campaign.angle_deg.tolist() == pytest.approx([raw_deg], abs=1e-9)
     assert campaign.error_arcsec.tolist() == pytest.approx([(raw_deg - 135.6) * 3600], abs=1e-4)
+
+
+def test_a_disk_that_fills_in_service_stops_the_recording_and_no_joint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Stopped by a bit and a line, gone on by a line when there is room; no line of the file is half a line."""
+    disk = Disk(6_000)
+    monkeypatch.setattr(RecordFiles.__init__, "__kwdefaults__", {"write": disk.write})
+    monkeypatch.setattr("trueangle.edges.recorder.room_bytes", lambda _: disk.room)
+    monkeypatch.setattr("trueangle.edges.recorder.RETRY_S", 0.05)
+    joints = (joint_yaml(1, "base"), joint_yaml(2, "elbow", model="twin.onnx"))
+    config = config_yaml(*joints) + f"record: {{directory: {tmp_path}, every_ms: 10}}\n"
+    images = images_of(monkeypatch)
+
+    async def scenario() -> None:
+        nodes = [EncoderNode(i, lambda _id, _data: None, counts=lambda _: 1_234_567) for i in (1, 2)]
+        async with on_wire(monkeypatch, CanWire(), *nodes), started(config, caplog) as rig:
+            for slot in (1, 2):
+                await rig.until_status(slot, StatusBit.VALID)
+            first = len(images)
+            async with asyncio.timeout(LIMIT_S):
+                while not await rig.service_status() & ServiceBit.RECORDER_STOPPED:
+                    pass
+                disk.room = 10**9
+                while await rig.service_status() & ServiceBit.RECORDER_STOPPED:
+                    pass
+            words = {image.read(address, 2) for image in images[first:] for address in (10, 22)}
+            assert words == {int(GOOD).to_bytes(4, "big")}
+
+    asyncio.run(scenario())
+    told = [message.split()[0] for message in caplog.messages if "event=recorder_" in message]
+    assert told == ["event=recorder_stopped", "event=recorder_resumed"]
+    for path in recorded(tmp_path):
+        *lines, end = path.read_text().split("\n")
+        assert end == ""
+        assert {line.count(",") for line in lines[1:]} == {len(COLUMNS) - 1}

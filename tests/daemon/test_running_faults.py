@@ -147,7 +147,7 @@ def test_wall_clock_that_is_set_back_moves_no_deadline(run: Run, monkeypatch: py
                 await pauses(1)
                 assert (await r.fast(1)).status == GOOD
             device.deaf = True
-            await r.until(1, lambda read: StatusBit.STALE in read.status)
+            await r.until_status(1, StatusBit.STALE)  # and not only when its heartbeats are missed
 
     run(scenario, ONE, device)
 

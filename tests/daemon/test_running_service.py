@@ -21,6 +21,7 @@ from tests.fakes.running_service import (
     Rig,
     config_yaml,
     correction_arcsec,
+    images_of,
     joint_yaml,
     on_virtual_bus,
     on_wire,
@@ -31,7 +32,6 @@ from tests.fakes.running_service import (
 
 from trueangle.core.health import StatusBit
 from trueangle.core.registers import RegisterImage
-from trueangle.edges.modbus_server import ModbusTcpServer
 
 BASE, ELBOW = joint_yaml(1, "base"), joint_yaml(2, "elbow", model="twin.onnx")
 ONE, TWO = config_yaml(BASE), config_yaml(BASE, ELBOW)
@@ -71,16 +71,7 @@ def run(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> It
 
 @pytest.fixture
 def images(monkeypatch: pytest.MonkeyPatch) -> list[RegisterImage]:
-    """Every image that was ever served: one that lives for microseconds is met by no poll, but a PLC may."""
-    seen: list[RegisterImage] = []
-    publish = ModbusTcpServer.publish
-
-    def record(server: ModbusTcpServer, image: RegisterImage) -> None:
-        seen.append(image)
-        publish(server, image)
-
-    monkeypatch.setattr(ModbusTcpServer, "publish", record)
-    return seen
+    return images_of(monkeypatch)
 
 
 def served_raw_mas(image: RegisterImage, slot: int = 1) -> int:
@@ -391,6 +382,21 @@ def test_an_encoder_that_differs_is_served_raw_and_never_corrected(
         await r.until_status(2, StatusBit.VALID)
 
     run(scenario, TWO, node(1, objects={address: (value, size)}), node(2))
+
+
+def test_the_turns_go_on_where_the_range_that_the_node_tells_ends(run: Run) -> None:
+    """Nobody has configured it: of four turns, counted past the end of the fourth."""
+    total = 4 * COUNTS_PER_REV
+    device = node(counts=at(total - 100_000), objects={(0x6002, 0): (total, 4)})
+
+    async def scenario(r: Rig) -> None:
+        await r.until(1, lambda read: read.raw_mas == raw_mas(total - 100_000))
+        assert (await r.live(1)).turns == 3
+        device.counts = at(50_000)
+        await r.until(1, lambda read: read.raw_mas == raw_mas(50_000))
+        assert (await r.live(1)).turns == 4
+
+    run(scenario, ONE, device)
 
 
 # Another transport

@@ -9,6 +9,7 @@ from trueangle.contract.encoder import EncoderSettings
 from trueangle.contract.errors import ContractError
 from trueangle.core.health import StatusBit
 from trueangle.service import check_buses, encoder_differences, load_joints, node_plan, reasons
+from trueangle.serving_settings import range_counts
 
 DATA = Path(__file__).parents[1] / "data" / "models"
 CONFIG = """\
@@ -121,3 +122,11 @@ def test_reasons_are_words() -> None:
     status = StatusBit.CONFIGURED | StatusBit.STALE | StatusBit.BUS_DOWN
     assert reasons(status) == "stale,bus_down"
     assert reasons(StatusBit.CONFIGURED | StatusBit.VALID) == "none"
+
+
+@pytest.mark.parametrize(("told", "counts"), [(None, None), (0, 2**32), (13_107_200, 13_107_200)])
+def test_the_total_range_is_what_the_node_told_and_0_of_it_is_all_of_32_bits(
+    told: int | None, counts: int | None
+) -> None:
+    assert range_counts(EncoderSettings(total_range_units=told)) == counts
+    assert range_counts(None) is None

@@ -9,6 +9,7 @@ import os
 import signal
 import socket
 import threading
+import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from pathlib import Path
@@ -29,6 +30,7 @@ from tests.fakes.running_service import (
     raw_mas,
     started,
 )
+from tests.fakes.systemd_manager import Manager
 
 from trueangle.core.health import StatusBit
 from trueangle.core.pipeline import Pipeline
@@ -39,33 +41,6 @@ BASE, ELBOW = joint_yaml(1, "base"), joint_yaml(2, "elbow", model="twin.onnx")
 ONE, TWO = config_yaml(BASE), config_yaml(BASE, ELBOW)
 BUS_DOWN_SERVICE = 1 << 1
 Serve = Callable[..., AbstractAsyncContextManager[Rig]]
-
-
-class Manager:
-    """What systemd is to the service: the socket of NOTIFY_SOCKET, and WATCHDOG_USEC of 300 ms."""
-
-    def __init__(self, path: Path) -> None:
-        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self.socket.bind(str(path))
-        self.socket.setblocking(False)
-        self.environment = {"NOTIFY_SOCKET": str(path), "WATCHDOG_USEC": "300000"}
-        self.told: list[str] = []
-
-    def read(self) -> list[str]:
-        """All that was told so far."""
-        while True:
-            try:
-                self.told.append(self.socket.recv(4096).decode())
-            except BlockingIOError:
-                return self.told
-
-    def heard(self, start: str) -> bool:
-        return any(message.startswith(start) for message in self.read())
-
-    def ready(self) -> str:
-        """The one READY message."""
-        (message,) = [message for message in self.read() if message.startswith("READY=1")]
-        return message
 
 
 @pytest.fixture
@@ -268,11 +243,16 @@ def test_the_watchdog_is_fed_only_after_ready_and_while_images_are_published(
 def test_an_image_of_a_pipeline_that_stands_still_is_soon_served_no_more(
     serve: Serve, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without systemd nobody would end such a process: its last angle must not stay valid for ever."""
+    """Without systemd nobody would end such a process: its last angle must not stay valid for ever.
+
+    Nor until a wall clock that was set back has caught up.
+    """
 
     async def scenario() -> None:
         async with serve(ONE, node()) as r:
             await r.until_status(1, StatusBit.VALID)
+            monkeypatch.setattr(time, "time", lambda: 0.0)
+            monkeypatch.setattr(time, "time_ns", lambda: 0)
             monkeypatch.setattr(Pipeline, "_serve", lambda _self, _now_ns: None)
             async with asyncio.timeout(LIMIT_S):
                 while (answer := await r.plc.ask(read_request(4, 10, 12)))[7] == 4:

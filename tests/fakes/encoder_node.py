@@ -28,6 +28,8 @@ class EncoderNode(FakeDevice):
 
     counts: Callable[[int], int] = lambda _: 0
     temperature_centi_c: int = 2500
+    temperatures: Callable[[int], int] | None = None
+    """Gives the temperature of a sample by its number, in its place."""
     sends_temperature: bool = True
     extra_bytes: int = 0
     """Process data are so much longer than mapped; negative: shorter."""
@@ -89,10 +91,11 @@ class EncoderNode(FakeDevice):
             return
         if not self.frozen:
             self.sampled = self.syncs & 0xFFFF
+        told = self.temperatures
         values = {
             POSITION: self.counts(self.sampled),
             SEQUENCE: self.sampled,
-            TEMPERATURE: self.temperature_centi_c,
+            TEMPERATURE: self.temperature_centi_c if told is None else told(self.sampled),
         }
         data = b"".join(
             (values[address] & (1 << bits) - 1).to_bytes(bits // 8, "little") for address, bits in mapped

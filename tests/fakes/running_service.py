@@ -19,6 +19,8 @@ from tests.fakes.modbus_tcp_client import ModbusTcpClient, read_request
 
 from trueangle.config import parse_config
 from trueangle.core.health import StatusBit
+from trueangle.core.registers import RegisterImage
+from trueangle.edges.modbus_server import ModbusTcpServer
 from trueangle.edges.systemd import ServiceNotifier
 from trueangle.service import Loaded, Service, load_joints
 
@@ -261,6 +263,19 @@ async def on_virtual_bus(channel: str, *nodes: EncoderNode) -> AsyncIterator[Non
     finally:
         await asyncio.to_thread(notifier.stop)
         far.shutdown()
+
+
+def images_of(monkeypatch: pytest.MonkeyPatch) -> list[RegisterImage]:
+    """Every image served from now on: one that lives for microseconds is met by no poll, but a PLC may."""
+    seen: list[RegisterImage] = []
+    publish = ModbusTcpServer.publish
+
+    def record(server: ModbusTcpServer, image: RegisterImage) -> None:
+        seen.append(image)
+        publish(server, image)
+
+    monkeypatch.setattr(ModbusTcpServer, "publish", record)
+    return seen
 
 
 def same_angle(one_mas: int, other_mas: float, tolerance_mas: float) -> bool:

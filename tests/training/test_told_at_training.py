@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.training.test_report import made_campaign, made_inputs
+from tests.fakes.report_inputs import made_campaign, made_inputs
 
 from trueangle.contract.calibration import Campaign, campaign_to_csv
 from trueangle_training import cli

@@ -7,16 +7,19 @@ from trueangle.core.frames import NodePlan
 from trueangle.core.node_setup import NodeReport, NodeState
 
 EMERGENCY, OTHER_MASTER = "EMCY", "another master"
+MOST_KINDS = 32
+"""A node that finds ever new ways to fail fills neither log nor memory."""
 
 _log = logging.getLogger(__name__)
 
 
 class NodeLog:
-    """A latch: a node that fails again in the same way is not logged again, its emergencies are counted."""
+    """A latch: each way in which a node fails is one line in an outage, its emergencies are counted."""
 
     def __init__(self, plan: NodePlan) -> None:
         self._node = f"slot={plan.slot or 'none'} node_id={plan.node_id}"
-        self._last_failure: str | None = None
+        self._failed: set[str] = set()
+        """The ways in which it failed since it was last in service."""
         self._out_since_s = time.monotonic()
         self.emergencies = 0
         """EMCY messages since the node was last in service."""
@@ -54,15 +57,15 @@ class NodeLog:
                 "%s attempts=%d out_s=%.1f emergencies=%d reason=%r",
                 node, failures + 1, out_s, self.emergencies, report.reason,
             )  # fmt: skip
-            self._last_failure = None
+            self._failed.clear()
             self.emergencies = 0
         elif report.state in (NodeState.LOST, NodeState.FAULT, NodeState.CLASH):
-            if self._last_failure is None:
+            if not self._failed:
                 self._out_since_s = time.monotonic()
             # In a storm each EMCY differs in its last bytes, each write in its object: the first speaks for all.
             kind = next((k for k in (EMERGENCY, OTHER_MASTER) if report.reason.startswith(k)), report.reason)
-            if kind != self._last_failure:
+            if kind not in self._failed and len(self._failed) < MOST_KINDS:
+                self._failed.add(kind)
                 _log.warning("%s reason=%r", node, report.reason)
-            self._last_failure = kind
         elif failures == 0:
             _log.info("%s", node)

@@ -152,4 +152,9 @@ class Connection(asyncio.BufferedProtocol):
             self._idle_check = self._loop.call_later(left_s, self._close_if_idle)
             return
         self._host.counters.idle_closed += 1
+        self._host.report("modbus_idle_closed", self.address, _idle_reason(self.unsent_bytes))
         self.end()
+
+
+def _idle_reason(unsent_bytes: int) -> str:
+    return f"{unsent_bytes} bytes of answers not taken" if unsent_bytes else "no whole request"

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from trueangle.core.modbus_answer import RequestCounts
 
 _LOG = logging.getLogger(__name__)
-_REPORT_INTERVAL_S = 60.0
-"""A client that misbehaves again and again is logged once in that time, with the count."""
+REPORT_INTERVAL_S = 60.0
+"""A client that misbehaves again and again is logged once in that time, with the count; it is over when it did
+not for so long."""
 
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
@@ -84,23 +85,40 @@ class ModbusCounters(RequestCounts):
 
 @dataclass(slots=True)
 class _Trouble:
-    """One kind of trouble: when it was last logged, how often it came since."""
+    """One kind of trouble that has not ended."""
 
-    logged_s: float | None = None
-    count: int = 0
+    begun_s: float
+    last_s: float
+    logged_s: float
+    unlogged: int = 0
+    count: int = 1
 
 
 class TroubleLog:
-    """Logs trouble with clients, at most once a minute per kind of trouble."""
+    """Trouble with clients: a line where a kind of it begins, one a minute while it goes on, one at its end."""
 
     def __init__(self) -> None:
         self._troubles: dict[str, _Trouble] = {}
 
     def report(self, event: str, peer: str, reason: str, now_s: float) -> None:
         """Log, or count until the next time it may be logged."""
-        trouble = self._troubles.setdefault(event, _Trouble())
+        trouble = self._troubles.get(event)
+        if trouble is None:
+            self._troubles[event] = _Trouble(now_s, now_s, now_s)
+            _LOG.warning("event=%s peer=%s count=1 reason=%r", event, peer, reason)
+            return
+        trouble.last_s = now_s
         trouble.count += 1
-        if trouble.logged_s is None or now_s - trouble.logged_s >= _REPORT_INTERVAL_S:
-            _LOG.warning("event=%s peer=%s count=%d reason=%r", event, peer, trouble.count, reason)
-            trouble.logged_s = now_s
-            trouble.count = 0
+        trouble.unlogged += 1
+        if now_s - trouble.logged_s >= REPORT_INTERVAL_S:
+            _LOG.warning("event=%s peer=%s count=%d reason=%r", event, peer, trouble.unlogged, reason)
+            trouble.logged_s, trouble.unlogged = now_s, 0
+
+    def end_what_is_over(self, now_s: float) -> bool:
+        """Log the end of what did not come for a minute; True where some trouble still stands."""
+        for event, trouble in tuple(self._troubles.items()):
+            if now_s - trouble.last_s >= REPORT_INTERVAL_S:
+                del self._troubles[event]
+                lasted_s = trouble.last_s - trouble.begun_s
+                _LOG.info("event=%s_over lasted_s=%.1f count=%d", event, lasted_s, trouble.count)
+        return bool(self._troubles)

@@ -18,7 +18,7 @@ from pymodbus.transport import CommParams, CommType, ModbusProtocol
 from trueangle.core.commands import CommandDesk, Peer
 from trueangle.core.modbus_pdu import Identification, PduResponder, RegisterSource
 from trueangle.edges.modbus_server.connection import Connection
-from trueangle.edges.modbus_server.limits import ModbusCounters, ModbusLimits, TroubleLog
+from trueangle.edges.modbus_server.limits import REPORT_INTERVAL_S, ModbusCounters, ModbusLimits, TroubleLog
 from trueangle.edges.modbus_server.tls import TlsConnection, TlsSettings
 from trueangle.errors import LinkError
 
@@ -92,6 +92,8 @@ class ModbusTcpServer:
         self._open: set[Connection] = set()
         self._all_closed = asyncio.Event()
         self._trouble = TroubleLog()
+        self._look: asyncio.TimerHandle | None = None
+        """When to look next whether some trouble is over."""
 
     @property
     def listening(self) -> bool:
@@ -171,6 +173,9 @@ class ModbusTcpServer:
         if self._open:
             await self._all_closed.wait()
         await self._stop_listening()
+        if self._look is not None:
+            self._look.cancel()
+            self._look = None
         _LOG.info("event=modbus_closed requests=%d", self.counters.requests)
 
     async def _stop_listening(self) -> None:
@@ -214,8 +219,16 @@ class ModbusTcpServer:
             self._all_closed.set()
 
     def report(self, event: str, address: str, reason: str) -> None:
-        """Log trouble with a client, at most once a minute per kind of trouble."""
-        self._trouble.report(event, address, reason, asyncio.get_running_loop().time())
+        """Log trouble with a client: its beginning, at most once a minute that it goes on, its end."""
+        loop = asyncio.get_running_loop()
+        self._trouble.report(event, address, reason, loop.time())
+        if self._look is None:
+            self._look = loop.call_later(REPORT_INTERVAL_S, self._look_for_ends)
+
+    def _look_for_ends(self) -> None:
+        loop = asyncio.get_running_loop()
+        stands = self._trouble.end_what_is_over(loop.time())
+        self._look = loop.call_later(REPORT_INTERVAL_S, self._look_for_ends) if stands else None
 
 
 class _Opener(ModbusProtocol):
