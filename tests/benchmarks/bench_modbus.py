@@ -98,6 +98,7 @@ def measure(rounds: int, requests: int, client_counts: list[int]) -> None:
         yardstick = compiled(build, "libmodbus_server.c", "-I/usr/include/modbus", "-lmodbus")
         if yardstick is None:
             print("no gcc or no libmodbus (apt: libmodbus-dev): measured without the yardstick")
+        print("event loop of trueangled: asyncio, plain and TLS; uvloop is measured beside it")
         loops = [name for name in LOOPS if importlib.util.find_spec(name) is not None]
         if "uvloop" not in loops:
             print("uvloop is not installed: measured on asyncio alone")

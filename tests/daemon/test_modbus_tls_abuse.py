@@ -42,7 +42,7 @@ class MemoryClient:
                 self.tls.do_handshake()
             except ssl.SSLWantReadError:
                 await self.send_in_pieces(step)
-                self.incoming.write(await self.reader.read(65536))
+                await self.receive()
             else:
                 await self.send_in_pieces(step)
                 return
@@ -61,8 +61,16 @@ class MemoryClient:
                 try:
                     data += self.tls.read(65536)
                 except ssl.SSLWantReadError:
-                    self.incoming.write(await self.reader.read(65536))
+                    await self.receive()
         return data
+
+    async def receive(self) -> None:
+        """Once; the server's end is an error of TLS from then on."""
+        received = await self.reader.read(65536)
+        if received:
+            self.incoming.write(received)
+        else:
+            self.incoming.write_eof()
 
     def close(self) -> None:
         self.writer.close()
@@ -112,7 +120,7 @@ def test_requests_that_come_with_the_end_of_the_handshake_are_answered(plant: Pl
                 client.tls.do_handshake()
             await client.send_in_pieces()
             while True:
-                client.incoming.write(await client.reader.read(65536))
+                await client.receive()
                 with suppress(ssl.SSLWantReadError):
                     client.tls.do_handshake()
                     break

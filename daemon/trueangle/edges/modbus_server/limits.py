@@ -27,7 +27,7 @@ class ModbusLimits:
     """Time in which a TLS client must have shown its certificate."""
     unsent_bytes: int = 64 * 1024
     """Above, nothing more is read from the connection until the client has taken its answers. One read of 260
-    bytes is answered with at most 5.4 KiB, so this and one answer are the most that a client can make wait."""
+    bytes is answered with at most 6 KiB, so this and one answer are the most that a client can make wait."""
 
     image_age_s: float | None = None
     """Before an answer from an image older than this, `refresh` is called; if the image is still older, the answer
