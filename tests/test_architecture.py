@@ -60,7 +60,7 @@ DATED = {
     "edges/recorder.py": 1,
     "service/running.py": 2,
 }
-"""How often a file reads the wall clock: to write a date for people, or to ask whether a calibration is past due."""
+"""How often a file reads the wall clock: to write a date for people, to see whether a calibration is past due."""
 
 
 def test_nothing_but_dates_is_read_from_a_clock_that_may_be_set_back() -> None:

@@ -98,13 +98,11 @@ def test_trouble_has_a_line_at_its_begin_one_a_minute_and_one_when_it_is_over(
 
 
 def test_the_end_of_trouble_is_logged_though_no_client_comes_any_more(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
-    for module in ("limits", "server"):
-        monkeypatch.setattr(f"trueangle.edges.modbus_server.{module}.REPORT_INTERVAL_S", 0.02)
-
     async def scenario() -> None:
-        async with serving(limits("127.0.0.2")) as (_, port):
+        async with serving(limits("127.0.0.2")) as (server, port):
+            server._trouble.interval_s = 0.02
             client = await ModbusTcpClient.connect(port, "127.0.0.1")
             assert await client.at_end()
             await client.close()

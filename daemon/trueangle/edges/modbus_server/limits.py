@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from trueangle.core.modbus_answer import RequestCounts
 
 _LOG = logging.getLogger(__name__)
-REPORT_INTERVAL_S = 60.0
-"""A client that misbehaves again and again is logged once in that time, with the count; it is over when it did
-not for so long."""
+_REPORT_INTERVAL_S = 60.0
+"""A client that misbehaves again and again is logged once in that time, with the count."""
 
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
@@ -98,6 +97,8 @@ class TroubleLog:
     """Trouble with clients: a line where a kind of it begins, one a minute while it goes on, one at its end."""
 
     def __init__(self) -> None:
+        self.interval_s = _REPORT_INTERVAL_S
+        """Trouble that did not come for so long is over."""
         self._troubles: dict[str, _Trouble] = {}
 
     def report(self, event: str, peer: str, reason: str, now_s: float) -> None:
@@ -110,14 +111,14 @@ class TroubleLog:
         trouble.last_s = now_s
         trouble.count += 1
         trouble.unlogged += 1
-        if now_s - trouble.logged_s >= REPORT_INTERVAL_S:
+        if now_s - trouble.logged_s >= self.interval_s:
             _LOG.warning("event=%s peer=%s count=%d reason=%r", event, peer, trouble.unlogged, reason)
             trouble.logged_s, trouble.unlogged = now_s, 0
 
     def end_what_is_over(self, now_s: float) -> bool:
         """Log the end of what did not come for a minute; True where some trouble still stands."""
         for event, trouble in tuple(self._troubles.items()):
-            if now_s - trouble.last_s >= REPORT_INTERVAL_S:
+            if now_s - trouble.last_s >= self.interval_s:
                 del self._troubles[event]
                 lasted_s = trouble.last_s - trouble.begun_s
                 _LOG.info("event=%s_over lasted_s=%.1f count=%d", event, lasted_s, trouble.count)

@@ -18,7 +18,7 @@ from pymodbus.transport import CommParams, CommType, ModbusProtocol
 from trueangle.core.commands import CommandDesk, Peer
 from trueangle.core.modbus_pdu import Identification, PduResponder, RegisterSource
 from trueangle.edges.modbus_server.connection import Connection
-from trueangle.edges.modbus_server.limits import REPORT_INTERVAL_S, ModbusCounters, ModbusLimits, TroubleLog
+from trueangle.edges.modbus_server.limits import ModbusCounters, ModbusLimits, TroubleLog
 from trueangle.edges.modbus_server.tls import TlsConnection, TlsSettings
 from trueangle.errors import LinkError
 
@@ -223,12 +223,12 @@ class ModbusTcpServer:
         loop = asyncio.get_running_loop()
         self._trouble.report(event, address, reason, loop.time())
         if self._look is None:
-            self._look = loop.call_later(REPORT_INTERVAL_S, self._look_for_ends)
+            self._look = loop.call_later(self._trouble.interval_s, self._look_for_ends)
 
     def _look_for_ends(self) -> None:
         loop = asyncio.get_running_loop()
         stands = self._trouble.end_what_is_over(loop.time())
-        self._look = loop.call_later(REPORT_INTERVAL_S, self._look_for_ends) if stands else None
+        self._look = loop.call_later(self._trouble.interval_s, self._look_for_ends) if stands else None
 
 
 class _Opener(ModbusProtocol):
