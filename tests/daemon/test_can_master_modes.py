@@ -332,3 +332,37 @@ def test_storm_of_emergencies_is_one_log_line_and_its_end_tells_how_many(
     assert sum("EMCY" in line for line in lines) == 1
     assert sum("error register" in line for line in lines) == 1
     assert any("event=node_running " in line and "emergencies=300" in line for line in lines)
+
+
+def test_errors_that_come_and_go_do_not_make_the_master_flood_the_bus() -> None:
+    """Each EMCY 'no error' is a reason to try again at once, but not twice within the shortest pause."""
+    timing = replace(BRISK, backoff_first_s=1000.0, backoff_limit_s=1000.0)
+
+    async def scenario() -> None:
+        async with bench(timing=timing, device=with_sequence_object()) as b:
+            await b.until(NodeState.RUNNING)
+            commands = len(b.device.nmt)
+            for _ in range(50):
+                b.device.emergency(0x5010)
+                b.device.emergency(0)
+                for _ in range(5):
+                    await asyncio.sleep(0)
+            assert len(b.device.nmt) == commands
+
+    run(scenario)
+
+
+def test_unit_that_was_swapped_without_a_word_is_found_by_its_serial_number() -> None:
+    timing = replace(BRISK, phase_check_s=0.005)
+
+    async def scenario() -> None:
+        async with bench(timing=timing, device=with_sequence_object()) as b:
+            await b.until(NodeState.RUNNING)
+            b.device.objects[0x650B, 0] = (4712, 4)
+            report = await b.until(NodeState.FAULT)
+            assert report.reason == "0x650B:0 was changed in service from 0x1267 to 0x1268"
+            report = await b.until(NodeState.RUNNING)
+            assert report.settings is not None
+            assert report.settings.serial_number == 4712
+
+    run(scenario)

@@ -267,3 +267,25 @@ def test_clash_of_a_further_head_costs_only_that_head_and_ends_when_one_is_left(
     line.feed((0x281, struct.pack("<h", 2500)))
     assert line.status(1) == GOOD
     assert len(line.asked) == 2
+
+
+@pytest.mark.parametrize("second", ["a joint", "a sensor"])
+def test_sync_of_another_bus_between_two_heads_does_not_fuse_half_a_sample(second: str) -> None:
+    leg = joint(2).replace("bus: arm", "bus: leg") if second == "a joint" else ""
+    line = Line(joint(1, temperature=f"bus: leg, node_id: {SENSOR}", more=HEADS) + leg, buses=("arm", "leg"))
+    line.feed((0x180 + SENSOR, struct.pack("<h", 2500)), bus="leg")
+    seen: set[StatusBit] = set()
+    for cycle in range(40):
+        line.pipeline.on_sync("arm", line.now_ns)
+        line.now_ns += MS
+        line.feed(position(1, 0))
+        line.pipeline.on_sync("leg", line.now_ns)
+        line.feed(position(2), bus="leg")
+        line.pipeline.on_bus("leg", up=cycle % 2 == 0, now_ns=line.now_ns)
+        if cycle > 2:
+            seen.add(line.status(1))
+        line.feed(position(9, 1_638_400))
+        line.now_ns += 4 * MS
+        if cycle > 2:
+            seen.add(line.status(1))
+    assert seen == {GOOD}

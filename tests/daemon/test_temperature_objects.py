@@ -1,4 +1,4 @@
-"""Temperatures as their makers have them: CiA 404, CiA 401 and a vendor's object; mapped, told by change, polled."""
+"""Temperatures as their makers have them: CiA 404, CiA 401, a vendor's object; mapped, told by change, polled."""
 
 import struct
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ CIA_404 = Unit(
     raw=250,
 )
 CIA_401 = Unit(
-    keys="index: 0x6401, subindex: 2, degc_per_unit: 0.01220703125, offset_c: -50",  # 4 to 20 mA as -50 to 350 degC
+    keys="index: 0x6401, subindex: 2, degc_per_unit: 0.01220703125, offset_c: -50",  # 32768 are 400 K
     objects={(0x6401, 2): (6144, 2), INTERRUPT: (1, 1)},
     entry=0x6401_0210,
     frame=struct.pack("<h", 6144),

@@ -104,7 +104,7 @@ class PipelineFuzz:
             RegisterMap([joint_identity(slot) for slot in POLICIES]),
             publish=self._check,
             on_status=lambda slot, before, after: None,
-            on_clash=lambda slot, reason: None,
+            on_clash=lambda bus, node_id, reason: None,
         )
 
     def some_frames(self) -> int:

@@ -49,8 +49,8 @@ def add_parser(commands: Commands) -> None:
     parser.add_argument(
         "--lss",
         metavar="V:P",
-        help="also list all units of this vendor and product by LSS (CiA 305), those that share a node-id included; "
-        "about 10 s",
+        help="also list all units of this vendor and product by LSS (CiA 305), those that share a node-id "
+        "included; about 10 s",
     )
     add_lss_timeout(parser)
     parser.add_argument("--json", action="store_true", help="one JSON document instead of the table")

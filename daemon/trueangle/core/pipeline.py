@@ -174,7 +174,7 @@ class Pipeline:
     def on_sync(self, bus: str, now_ns: int) -> None:
         """SYNC on this bus, sent by us or by another node: a cycle that has not ended yet ends here."""
         if self._awaited and any(joint.due or joint.unfused for joint in self._joints.values()):
-            self._end_cycle(now_ns)
+            self._end_cycle(now_ns, bus)
         if bus not in self._syncs:
             return
         self._end_clashes(now_ns)
@@ -199,7 +199,7 @@ class Pipeline:
         """The bus was opened or lost."""
         if bus in self._bus_up and self._bus_up[bus] != up:
             self._bus_up[bus] = up
-            self._end_cycle(now_ns)
+            self._end_cycle(now_ns, bus)
 
     def on_node(
         self, slot: int, condition: NodeCondition, now_ns: int, *, head: int = 0, range_counts: int | None = None
@@ -307,11 +307,17 @@ class Pipeline:
         if self._on_clash is not None:
             self._on_clash(joint.channel.bus, head.node_id, reason)
 
-    def _end_cycle(self, now_ns: int) -> None:
-        self._awaited.clear()
-        self.counters.cycles += 1
+    def _end_cycle(self, now_ns: int, bus: str | None = None) -> None:
+        """Serve what there is; on `bus`, None: on any, nobody is waited for any longer."""
+        kept: set[int] = set()
         for joint in self._fused:
-            joint.fuse()
+            awaited = self._awaited.intersection(head.key for head in joint.heads)
+            if awaited and bus not in (None, joint.channel.bus):
+                kept |= awaited  # half a sample is none, and another bus says nothing of its other half
+            else:
+                joint.fuse()
+        self._awaited = kept
+        self.counters.cycles += 1
         self._serve(now_ns)
 
     def _check_day(self, now_ns: int) -> None:

@@ -35,12 +35,16 @@ Write = Callable[[SdoWrite], Awaitable[None]]
 IDENTITY: tuple[Address, ...] = ((0x1000, 0), (0x1018, 1), (0x1018, 2), (0x1018, 3), (0x1018, 4))
 """What every node has; 0x6000 and above mean something else on a node that is no encoder."""
 
+SERIAL: tuple[Address, ...] = ((0x1018, 4), PROFILE_SERIAL)
+
 
 class BringUp:
     """The steps of one node's set-up, in the order in which they are taken."""
 
     def __init__(self, plan: NodePlan, upload: Upload, write: Write) -> None:
         self._plan, self._upload, self._write = plan, upload, write
+        self._serial: dict[Address, int | None] = {}
+        """As read at the last identification."""
         self._verified: dict[Address, int] = {}
         """What read back as it must at the last set-up."""
         self._turn = 0
@@ -51,7 +55,9 @@ class BringUp:
         """Every object that tells which encoder this is and how it is set."""
         encoder = self._plan.slot is not None
         asked = (*ENCODER_OBJECTS.values(), PROFILE_SERIAL) if encoder else IDENTITY
-        settings = settings_from({address: await self._read(address) for address in asked})
+        told = {address: await self._read(address) for address in asked}
+        self._serial = {address: told[address] for address in SERIAL if told.get(address) is not None}
+        settings = settings_from(told)
         for wanted in self._plan.expected:
             address = (wanted.index, wanted.subindex)
             value = await self._read(address)
@@ -100,6 +106,7 @@ class BringUp:
         if differences:
             what = "is not set up as expected" if self._plan.as_found else "did not take its set-up"
             raise NodeFault(f"the node {what}: {'; '.join(differences)}")
+        found |= self._serial
         self._verified = {address: value for address, value in found.items() if value is not None}
 
     async def check_unchanged(self, settings: EncoderSettings) -> None:

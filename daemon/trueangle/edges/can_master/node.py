@@ -111,12 +111,13 @@ class NodeSupervisor:
             self._disturbance = self._remote_state = self._settings = self._serving_since_s = None
             self._heartbeats = None
             self._retry_now.clear()
+            begun_s = time.monotonic()
             try:
                 await self._bring_up()
                 await self._watch(await self._start_polling())
             except (LinkError, NodeFault) as error:
                 self._take_out(error)
-            await self._pause()
+            await self._pause(begun_s + self._timing.backoff_first_s)
             self._log.tick(time.monotonic(), self._timing.other_master_quiet_s)
 
     async def _bring_up(self) -> None:
@@ -200,12 +201,16 @@ class NodeSupervisor:
         # As old as the question: the node sampled it at some time between the two.
         self._listener.on_value(slot_of(self._plan, polled.value), polled.value.quantity, number, asked_ns)
 
-    async def _pause(self) -> None:
-        """Wait before the next attempt; a boot-up message, an error reset or the bus's return cut it short."""
+    async def _pause(self, earliest_s: float) -> None:
+        """Wait before the next attempt; a boot-up message, an error reset or the bus's return cut it short.
+
+        Not to less than `earliest_s`: a node that stirs all the time must not make the master flood the bus.
+        """
         pause_s = backoff_s(self._failures, self._timing.backoff_first_s, self._timing.backoff_limit_s)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(pause_s):
                 await self._retry_now.wait()
+        await asyncio.sleep(max(0.0, earliest_s - time.monotonic()))
 
     def _heartbeat_limit_s(self, heartbeat_ms: int) -> float:
         return self._timing.heartbeat_periods * heartbeat_ms / 1000
