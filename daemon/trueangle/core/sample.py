@@ -1,7 +1,7 @@
 """The latest sample of one joint, kept from frames: position, temperature, sequence, each with its time.
 
 Rules of this file: only what arrived is kept; a repeated sequence number refreshes nothing (a frozen or doubled
-frame must grow old); a node that leaves service takes its samples with it.
+frame must grow old), and the first one alone is no sample; a node that leaves service takes its samples with it.
 """
 
 from dataclasses import dataclass, field
@@ -117,27 +117,34 @@ class JointSample:
             self.two_senders = True
         if position is None or not self._is_new(sequence):
             return False
-        self.position.move_to(position, self._sample_time.stamp_ns(self._sample_number, syncs, received_ns))
+        stamp_ns = self._sample_time.stamp_ns(self._sample_number, syncs, received_ns)
+        self.position.move_to(position, stamp_ns)
+        # A head that missed a SYNC and one that is late look alike: both have the stamp of an older one.
+        self.position.certain = stamp_ns == syncs.last_ns
         return True
 
     def _is_new(self, sequence: int | None) -> bool:
         """Count received, lost and repeated position frames by their sequence number."""
         modulus, step = self.scale.sequence_modulus, 1
         if sequence is not None and modulus is not None:
-            if self.sequence is not None:
-                step = (sequence - self.sequence) % modulus
-                if step == 0:
+            if self.sequence is None:
+                # A node that froze before it came into service sends this one for ever: the next one tells.
+                self.sequence = sequence
+                self.frames_received += 1
+                return False
+            step = (sequence - self.sequence) % modulus
+            if step == 0:
+                self.frames_repeated += 1
+                return False
+            if step >= modulus // 2:
+                # Backwards: an old frame come again, or the first of a counter that starts anew. The second
+                # of such a counter tells; until then nothing is believed.
+                if self._backwards is None or sequence != (self._backwards + 1) % modulus:
+                    self._backwards = sequence
                     self.frames_repeated += 1
                     return False
-                if step >= modulus // 2:
-                    # Backwards: an old frame come again, or the first of a counter that starts anew. The second
-                    # of such a counter tells; until then nothing is believed.
-                    if self._backwards is None or sequence != (self._backwards + 1) % modulus:
-                        self._backwards = sequence
-                        self.frames_repeated += 1
-                        return False
-                    step = 1
-                self.frames_lost += step - 1
+                step = 1
+            self.frames_lost += step - 1
             self.sequence, self._backwards = sequence, None
         self._sample_number += step
         self.frames_received += 1
