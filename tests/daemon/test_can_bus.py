@@ -8,7 +8,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Coroutine
-from typing import Any
+from typing import Any, NoReturn
 
 import can
 import pytest
@@ -633,6 +633,9 @@ def test_interface_that_goes_down_or_is_removed_is_opened_again(number: int) -> 
 
     class FailingSocket(socket.socket):
         def recv(self, size: int, flags: int = 0) -> bytes:
+            raise OSError(number, os.strerror(number))
+
+        def recvmsg(self, *sizes: int) -> NoReturn:
             raise OSError(number, os.strerror(number))
 
     async def scenario() -> None:
