@@ -25,6 +25,7 @@ FAULTS: dict[str, tuple[str, ...]] = {
             "test_an_encoder_that_another_tool_sets_while_it_runs_is_noticed_and_no_longer_corrected"
         ),
         "daemon/test_can_master_modes.py::test_write_of_another_master_takes_the_node_out_before_its_next_frame",
+        "daemon/test_running_policy.py::test_no_reload_accepts_an_encoder_whose_own_zero_was_moved_in_service",
     ),
     "right model on the wrong joint": (
         "daemon/test_running_service.py::test_an_encoder_that_differs_is_served_raw_and_never_corrected",
@@ -49,7 +50,10 @@ FAULTS: dict[str, tuple[str, ...]] = {
         "daemon/test_pipeline_sources.py::test_doubled_frame_is_no_clash_and_refreshes_nothing_for_long",
         "daemon/test_pipeline.py::test_an_old_frame_that_comes_again_is_never_served",
     ),
-    "frozen frames": ("daemon/test_running_faults.py::test_frozen_frames_grow_old",),
+    "frozen frames": (
+        "daemon/test_running_faults.py::test_frozen_frames_grow_old",
+        "daemon/test_pipeline.py::test_a_node_that_froze_before_it_came_into_service_is_never_valid",
+    ),
     "heartbeat without process data": (
         "daemon/test_running_faults.py::test_heartbeat_without_process_data_is_stale",
     ),
@@ -117,6 +121,10 @@ FAULTS: dict[str, tuple[str, ...]] = {
         "daemon/test_modbus_tls.py::test_a_missing_foreign_or_expired_certificate_is_refused_and_logged_once",
     ),
     "clock set back": (
+        (
+            "daemon/test_frames_that_waited.py::"
+            "test_a_stall_makes_no_frame_younger_also_when_the_wall_clock_is_set_meanwhile"
+        ),
         "daemon/test_running_faults.py::test_wall_clock_that_is_set_back_moves_no_deadline",
         "daemon/test_temperature_watch.py::test_a_clock_set_back_leaves_a_past_due_calibration_past_due",
     ),
