@@ -13,6 +13,10 @@ from trueangle.core.sync_time import SampleTime, SyncHistory
 from trueangle.core.temperature_watch import TemperatureLimits, TemperatureWatch
 
 
+OLD_FRAMES = 64
+"""Numbers so far behind the last one are old frames; a counter that starts anew there is believed when past it."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SampleScale:
     """How the raw numbers of one joint become units."""
@@ -137,9 +141,13 @@ class JointSample:
                 self.frames_repeated += 1
                 return False
             if step >= modulus // 2:
-                # Backwards: an old frame come again, or the first of a counter that starts anew. The second
-                # of such a counter tells; until then nothing is believed.
-                if self._backwards is None or sequence != (self._backwards + 1) % modulus:
+                # Backwards: old frames come again, which end where the counter stands, or a counter that starts
+                # anew far from there. The second of such a counter tells; until then nothing is believed.
+                if (
+                    modulus - step <= OLD_FRAMES
+                    or self._backwards is None
+                    or sequence != (self._backwards + 1) % modulus
+                ):
                     self._backwards = sequence
                     self.frames_repeated += 1
                     return False
