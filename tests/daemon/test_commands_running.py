@@ -3,6 +3,7 @@
 import asyncio
 import struct
 from collections.abc import Callable, Coroutine
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -169,7 +170,8 @@ def test_another_unit_in_place_does_not_get_the_preset_and_is_not_referenced(
     path = tmp_path / "presets.json"
     (stored,) = read_presets(path.read_text("utf-8"), source="p")
     assert stored.binding.serial_number == 4711
-    path.write_text(presets_text([stored]).replace("4711", "4712"), "utf-8")
+    other = replace(stored, binding=replace(stored.binding, serial_number=4712))
+    path.write_text(presets_text([other]), "utf-8")
     go(second, node())
     assert any("what=preset_of_other_encoder" in message for message in caplog.messages)
 

@@ -110,3 +110,17 @@ def test_heads_of_two_syncs_are_not_averaged_however_close_the_syncs_came() -> N
     shaft.fusion.fuse([True, True])
     assert shaft.fusion.raw_deg == pytest.approx(10.0 + 360.0 * 300e-6, abs=1e-5)
     assert shaft.fusion.lost
+
+
+def test_a_late_head_is_not_averaged_with_one_that_missed_a_sync() -> None:
+    """Both have the stamp of the SYNC before the last, and their samples are one SYNC apart."""
+    rig = Rig(second_head=True)
+    for angle_deg in (90.0, 91.0, 92.0):
+        rig.cycle(angle_deg)
+    rig.cycle(93.0, heads=(1,))
+    rig.cycle(94.0, heads=(0,))
+    rig.pipeline.on_sync("arm", rig.now_ns)
+    rig.now_ns += MS
+    late = (0x182, struct.pack("<I", 940_000 + 1_800_000), rig.now_ns)
+    rig.feed(late, frame(rig, 950_000))
+    assert rig.served.raw in (94 * MAS, 95 * MAS)

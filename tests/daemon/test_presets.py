@@ -132,3 +132,33 @@ def test_the_file_is_plain_json(tmp_path: Path) -> None:
     write_presets(tmp_path, presets_text(PRESETS))
     value = json.loads((tmp_path / "presets.json").read_text("utf-8"))
     assert value["presets"][0]["binding"]["serial_number"] == 4711
+
+
+def test_a_directory_that_cannot_be_synced_leaves_the_presets_that_are_in_force(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was told as not stored must not come into force at the next start."""
+    write_presets(tmp_path, presets_text(PRESETS))
+    calls: list[int] = []
+
+    def second_fails(descriptor: int) -> None:
+        calls.append(descriptor)
+        if len(calls) > 1:
+            raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr("os.fsync", second_fails)
+    with pytest.raises(OSError, match="Input/output"):
+        write_presets(tmp_path, presets_text(PRESETS[:1]))
+    assert load_presets(tmp_path) == PRESETS
+
+
+@given(place=st.integers(0, 10_000), flipped=st.sampled_from([1, 2, 4, 8, 16, 64]))
+def test_no_flipped_bit_makes_another_preset_of_a_file(place: int, flipped: int) -> None:
+    text = presets_text(PRESETS)
+    damaged = bytearray(text.encode())
+    damaged[place % len(damaged)] ^= flipped
+    try:
+        read = read_presets(damaged.decode("utf-8", errors="replace"), source="p")
+    except ContractError:
+        return
+    assert read == PRESETS

@@ -148,7 +148,7 @@ class Rig:
         self.pipeline.on_sync("arm", self.now_ns)
         self.now_ns += MS
         frames: list[tuple[int, bytes, int]] = []
-        for head in heads[: self.heads]:
+        for head in (head for head in heads if head < self.heads):
             data = struct.pack("<I", round((angle_deg + 180.0 * head) * 10_000) % PER_REV)
             data += bytes([referenced or 0]) if self.reference else b""
             frames.append((0x181 + head, data, self.now_ns))

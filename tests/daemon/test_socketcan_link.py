@@ -6,7 +6,7 @@ import os
 import socket
 import struct
 import time
-from typing import Any
+from typing import Any, NoReturn
 
 import can
 import pytest
@@ -350,6 +350,9 @@ def test_interface_that_goes_down_or_is_removed_is_opened_again(number: int) -> 
 
     class FailingSocket(socket.socket):
         def recv(self, size: int, flags: int = 0) -> bytes:
+            raise OSError(number, os.strerror(number))
+
+        def recvmsg(self, *sizes: int) -> NoReturn:
             raise OSError(number, os.strerror(number))
 
     async def scenario() -> None:

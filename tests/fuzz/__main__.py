@@ -20,11 +20,13 @@ from tests.fuzz.memory import MemoryTrack
 from tests.fuzz.modbus import ModbusFuzz
 from tests.fuzz.node_frames import hear_frames
 from tests.fuzz.texts import TextFuzz
+from tests.fuzz.true_angles import Worlds
 
 COUNTS = {
     "modbus_tcp": 450_000,
     "modbus_rtu": 150_000,
     "can_pipeline": 330_000,
+    "true_angles": 100_000,
     "can_master": 60_000,
     "configurations": 10_000,
     "presets": 10_000,
@@ -58,6 +60,8 @@ def _maker(kind: str, rng: random.Random, model: Path) -> Callable[[], int]:
         return _counted(modbus.one_tcp if kind == "modbus_tcp" else modbus.one_rtu)
     if kind == "can_pipeline":
         return PipelineFuzz(rng).some_frames
+    if kind == "true_angles":
+        return Worlds(rng).some_time
     texts = TextFuzz(rng)
     return _counted(
         {

@@ -110,12 +110,15 @@ class HeadFusion:
             for i, (track, ok) in enumerate(zip(tracks, usable, strict=True))
             if ok and track.stamp_ns == stamp_ns
         )
+        if len(present) > 1:
+            certain = [i for i in present if tracks[i].certain]
+            present = tuple(certain or present[:1])
         elapsed_s = 0.0 if self.stamp_ns is None else max(0, stamp_ns - self.stamp_ns) * 1e-9
         self.stamp_ns = stamp_ns
         self._average(present, elapsed_s)
         velocities = [v for i in present if (v := tracks[i].velocity_deg_s) is not None]
         self.velocity_deg_s = sum(velocities) / len(velocities) if velocities else None
-        leader = tracks[present[0]]
+        leader = tracks[min(present)]
         self.velocity_change_deg_s, self.interval_s = leader.velocity_change_deg_s, leader.interval_s
 
     def _average(self, present: tuple[int, ...], elapsed_s: float) -> None:

@@ -5,8 +5,8 @@ the sample on which it moved faster than the joint can. Then either a second jum
 can have got to since, and it is believed again after `settle_samples` consistent samples (a spike); or it stays
 where it went, and nothing that this encoder says can tell a moved phase from a moved shaft: not believed until the
 node has been identified anew (`forget`) or a person clears it. An encoder without an absolute zero is referenced
-only by its reference, and no longer after a jump. Where the counts' range is no whole number of the joint's turns and
-has run over, only a person knows the turn, also after the node has left and come back.
+only by its reference, and no longer after a jump. Where the counts' range is no whole number of the joint's turns
+and has run over, only a person knows the turn, also after the node has left and come back.
 """
 
 import math
@@ -71,6 +71,7 @@ class PositionTrack:
         "_step",
         "_unwraps",
         "_wraps",
+        "certain",
         "interval_s",
         "jumped",
         "mechanics",
@@ -108,6 +109,8 @@ class PositionTrack:
         """The node left service: nothing that it said before counts any more."""
         self.position_counts: int | None = None
         self.stamp_ns: int | None = None
+        self.certain = True
+        """Which SYNC the sample answers is known; else it may be younger than its stamp."""
         self.raw_deg: float | None = None
         """In [0, 360)."""
         self.turns: int | None = None

@@ -1,5 +1,6 @@
 """Presets as they are kept: which zero the user gave which joint, made with which encoder and which model."""
 
+import hashlib
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -54,6 +55,8 @@ class Preset:
 class _PresetFile:
     schema_version: Annotated[int, Range(minimum=SCHEMA_VERSION, maximum=SCHEMA_VERSION)]
     presets: tuple[Preset, ...]
+    seal: Hash
+    """SHA-256 of the presets: one flipped bit in a zero is a wrong angle that looks right."""
 
     def __post_init__(self) -> None:
         slots = [preset.slot for preset in self.presets]
@@ -62,13 +65,22 @@ class _PresetFile:
             for i, slot in enumerate(slots)
             if slots.index(slot) < i
         ]
+        if not faults and self.seal != _seal(self.presets):
+            advice = "the file was damaged or edited: restore it, or remove it to begin without presets"
+            faults = [Fault(where="seal", expected="the SHA-256 of the presets", found="another", advice=advice)]
         if faults:
             raise ContractError(faults)
 
 
+def _seal(presets: tuple[Preset, ...]) -> str:
+    text = json.dumps([plain(preset) for preset in presets], sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
 def presets_text(presets: Iterable[Preset]) -> str:
     """The file's text; `read_presets` gives the same presets again."""
-    file = _PresetFile(schema_version=SCHEMA_VERSION, presets=tuple(sorted(presets, key=lambda one: one.slot)))
+    ordered = tuple(sorted(presets, key=lambda one: one.slot))
+    file = _PresetFile(schema_version=SCHEMA_VERSION, presets=ordered, seal=_seal(ordered))
     return json.dumps(plain(file), indent=1) + "\n"
 
 

@@ -1,7 +1,7 @@
 """The latest sample of one joint, kept from frames: position, temperature, sequence, each with its time.
 
 Rules of this file: only what arrived is kept; a repeated sequence number refreshes nothing (a frozen or doubled
-frame must grow old); a node that leaves service takes its samples with it.
+frame must grow old), and the first one alone is no sample; a node that leaves service takes its samples with it.
 """
 
 from dataclasses import dataclass, field
@@ -11,6 +11,10 @@ from trueangle.core.frames import FrameLayout, Quantity
 from trueangle.core.position import Mechanics, PositionTrack
 from trueangle.core.sync_time import SampleTime, SyncHistory
 from trueangle.core.temperature_watch import TemperatureLimits, TemperatureWatch
+
+
+OLD_FRAMES = 64
+"""Numbers so far behind the last one are old frames; a counter that starts anew there is believed when past it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,27 +119,38 @@ class JointSample:
             self.two_senders = True
         if not self._is_new(sequence):
             return False
-        self.position.move_to(position, self._sample_time.stamp_ns(self._sample_number, syncs, received_ns))
+        stamp_ns = self._sample_time.stamp_ns(self._sample_number, syncs, received_ns)
+        self.position.move_to(position, stamp_ns)
+        # A head that missed a SYNC and one that is late look alike: both have the stamp of an older one.
+        self.position.certain = stamp_ns == syncs.last_ns
         return True
 
     def _is_new(self, sequence: int | None) -> bool:
         """Count received, lost and repeated position frames by their sequence number."""
         modulus, step = self.scale.sequence_modulus, 1
         if sequence is not None and modulus is not None:
-            if self.sequence is not None:
-                step = (sequence - self.sequence) % modulus
-                if step == 0:
+            if self.sequence is None:
+                # A node that froze before it came into service sends this one for ever: the next one tells.
+                self.sequence = sequence
+                self.frames_received += 1
+                return False
+            step = (sequence - self.sequence) % modulus
+            if step == 0:
+                self.frames_repeated += 1
+                return False
+            if step >= modulus // 2:
+                # Backwards: old frames come again, which end where the counter stands, or a counter that starts
+                # anew far from there. The second of such a counter tells; until then nothing is believed.
+                if (
+                    modulus - step <= OLD_FRAMES
+                    or self._backwards is None
+                    or sequence != (self._backwards + 1) % modulus
+                ):
+                    self._backwards = sequence
                     self.frames_repeated += 1
                     return False
-                if step >= modulus // 2:
-                    # Backwards: an old frame come again, or the first of a counter that starts anew. The second
-                    # of such a counter tells; until then nothing is believed.
-                    if self._backwards is None or sequence != (self._backwards + 1) % modulus:
-                        self._backwards = sequence
-                        self.frames_repeated += 1
-                        return False
-                    step = 1
-                self.frames_lost += step - 1
+                step = 1
+            self.frames_lost += step - 1
             self.sequence, self._backwards = sequence, None
         self._sample_number += step
         self.frames_received += 1

@@ -1,6 +1,7 @@
 """The file of presets in the state directory: replaced whole, and on the disk before anybody is told so."""
 
 import asyncio
+import contextlib
 import logging
 import os
 from collections.abc import Callable, Iterable
@@ -38,16 +39,31 @@ def write_presets(directory: Path, text: str) -> None:
     """
     path = directory / FILE_NAME
     beside = directory / f".{FILE_NAME}.new"
+    before = path.read_bytes() if path.exists() else None
     with beside.open("w", encoding="utf-8") as file:
         file.write(text)
         file.flush()
         os.fsync(file.fileno())
     beside.replace(path)
-    descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+        descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+    except OSError:
+        # Whoever is told that it is not stored must not find it in force after the next start.
+        with contextlib.suppress(OSError):
+            _put_back(path, beside, before)
+        raise
+
+
+def _put_back(path: Path, beside: Path, before: bytes | None) -> None:
+    if before is None:
+        path.unlink()
+    else:
+        beside.write_bytes(before)
+        beside.replace(path)
 
 
 class PresetFile:

@@ -30,6 +30,14 @@ _STANDARD_DATA = _EXTENDED | _REMOTE | 0x7FF
 _ALL_ERRORS = 0x1FFFFFFF
 MAX_FILTERS = 512
 """CAN_RAW_FILTER_MAX of linux/can.h."""
+_SO_TIMESTAMPNS = 35
+"""asm-generic/socket.h; the kernel then tells with each frame when it came, by the wall clock."""
+_TIMESPEC = struct.Struct("@ll")
+_ANCILLARY_BYTES = socket.CMSG_SPACE(_TIMESPEC.size)
+WAITED_NS = round(2e9 * COALESCE_S)
+"""Frames that waited longer have the time of their arrival; the others that of their reading, which is cheaper."""
+CLOCK_SET_NS = 2_000_000
+"""The wall clock moved by more against the monotonic one since the socket was empty: it was set."""
 _SO_MEMINFO, _MEMINFO_DROPS = 55, 8
 """asm-generic/socket.h and SK_MEMINFO_DROPS of linux/sock_diag.h: drops of a full receive buffer."""
 
@@ -47,6 +55,8 @@ class SocketcanLink:
         self._full_in_a_row = 0
         self._drops_seen = 0
         self._cob_ids: frozenset[int] | None = None
+        self._emptied_ns = self._wall_ahead_ns = 0
+        """When nothing was left in the socket, and how far the wall clock was ahead of the monotonic one then."""
 
     def listen_to(self, cob_ids: frozenset[int] | None) -> None:
         """Hand on only frames of these COB-IDs, None: all; the kernel sorts them out where it can."""
@@ -71,6 +81,9 @@ class SocketcanLink:
             raise LinkError(cannot_open(self._settings, error)) from error
         self._socket = raw
         self._set_kernel_filter(raw)
+        with contextlib.suppress(OSError):
+            raw.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+        self._note_empty()
         self._loop.add_reader(raw.fileno(), self._wake)
 
     def send(self, can_id: int, data: bytes) -> None:
@@ -97,8 +110,14 @@ class SocketcanLink:
         frames: list[Frame] = []
         receive, cob_ids, size = self._socket.recv, self._cob_ids, _CAN_FRAME.size
         try:
+            waited = True  # until a frame shows that it, and so every later one, has not
             for _ in range(MAX_DRAIN_FRAMES):
-                raw = receive(size)
+                if waited:
+                    raw, ancillary, _, _ = self._socket.recvmsg(size, _ANCILLARY_BYTES)
+                    stamp_ns = self._arrival_ns(ancillary)
+                    waited = time.monotonic_ns() - stamp_ns > WAITED_NS
+                else:
+                    raw, stamp_ns = receive(size), time.monotonic_ns()
                 if len(raw) != size:
                     if not raw:
                         lose(self._lost, "closed by the other side")
@@ -109,17 +128,36 @@ class SocketcanLink:
                 if can_id & (_EXTENDED | _REMOTE | _ERROR):
                     self._count_flagged(can_id, data[:length])
                 elif cob_ids is None or can_id in cob_ids:
-                    frames.append((can_id, data[:length], time.monotonic_ns()))
+                    frames.append((can_id, data[:length], stamp_ns))
                 else:
                     self._counters.foreign_frames += 1
         except BlockingIOError:
-            pass
+            self._note_empty()
         except OSError as error:
             lose(self._lost, f"cannot receive: {error}")
         if frames:
             self._counters.frames += len(frames)
             self._on_frames(frames)
         return bool(frames)
+
+    def _note_empty(self) -> None:
+        self._emptied_ns = time.monotonic_ns()
+        self._wall_ahead_ns = time.time_ns() - self._emptied_ns
+
+    def _arrival_ns(self, ancillary: list[tuple[int, int, bytes]]) -> int:
+        """When the frame came, monotonic: not before the socket was last empty, not after now.
+
+        Where the kernel does not tell, now; where the wall clock was set meanwhile, as early as can be.
+        """
+        now_ns = time.monotonic_ns()
+        for level, kind, data in ancillary:
+            if (level, kind) == (socket.SOL_SOCKET, _SO_TIMESTAMPNS) and len(data) == _TIMESPEC.size:
+                if abs(time.time_ns() - now_ns - self._wall_ahead_ns) > CLOCK_SET_NS:
+                    return self._emptied_ns
+                seconds, nanoseconds = _TIMESPEC.unpack(data)
+                came_ns = seconds * 1_000_000_000 + nanoseconds - self._wall_ahead_ns
+                return max(self._emptied_ns, min(came_ns, now_ns))
+        return now_ns
 
     def _count_flagged(self, can_id: int, data: bytes) -> None:
         if can_id & _ERROR:
