@@ -72,7 +72,7 @@ FAULTS: dict[str, tuple[str, ...]] = {
     "frozen frames": (
         f"{RULE}[frozen frames]",
         "daemon/test_running_faults.py::test_frozen_frames_grow_old",
-        "daemon/test_pipeline.py::test_a_node_that_froze_before_it_came_into_service_is_never_valid",
+        "daemon/test_sequence_numbers.py::test_a_node_that_froze_before_it_came_into_service_is_never_valid",
     ),
     "heartbeat without process data": (
         f"{RULE}[heartbeat without process data]",

@@ -63,7 +63,9 @@ class Shaft:
     def at(self, time_ns: int) -> float:
         """Turns included."""
         period, rest_ns = divmod(time_ns - self._start_ns, PERIOD_NS)
-        place = min(max(period - self._first, 0), len(self._deg) - 2)
+        place = max(period - self._first, 0)
+        if place >= len(self._deg) - 1:
+            return self._deg[-1]
         return self._deg[place] + (self._deg[place + 1] - self._deg[place]) * rest_ns / PERIOD_NS
 
     def between(self, from_ns: int, to_ns: int) -> list[float]:

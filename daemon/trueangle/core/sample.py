@@ -12,7 +12,6 @@ from trueangle.core.position import Mechanics, PositionTrack
 from trueangle.core.sync_time import SampleTime, SyncHistory
 from trueangle.core.temperature_watch import TemperatureLimits, TemperatureWatch
 
-
 OLD_FRAMES = 64
 """Numbers so far behind the last one are old frames; a counter that starts anew there is believed when past it."""
 
