@@ -149,6 +149,13 @@ def test_a_return_after_the_joint_could_have_got_there_proves_nothing() -> None:
     assert position.jumped
 
 
+def test_a_spike_from_a_moved_zero_is_no_return_to_where_it_was() -> None:
+    position = track(motion=SLOW)
+    moved = [50.0 - 0.25 * n for n in range(60)]  # a zero moved by 40 deg, a shaft that turns on at 50 deg/s
+    follow(position, 10.0, 10.0, *moved, 170.0, *[moved[-1] - 0.25 * n for n in range(2, 100)])
+    assert position.jumped
+
+
 def test_a_node_identified_anew_is_believed() -> None:
     position = track(motion=SLOW)
     follow(position, 10.0, 80.0)

@@ -188,8 +188,8 @@ class PositionTrack:
             back_deg = abs(self._difference(counts, self._anchor_counts) * self._deg_per_count)
             since_ns = self.stamp_ns + elapsed_ns - self._anchor_stamp_ns if self.stamp_ns is not None else 0
             reach_deg = _reach_deg(motion, since_ns)
-            # Once the joint can have gone as far as it jumped, to be back there proves nothing.
-            self._settled = 0 if back_deg <= reach_deg < self._jump_deg else None
+            # Only while what stayed where it jumped to cannot be as near as that: later it proves nothing.
+            self._settled = 0 if back_deg <= reach_deg < self._jump_deg / 2 else None
         elif self._settled is not None:
             self._settled += 1
             if self._settled >= motion.settle_samples:
