@@ -9,6 +9,7 @@ import re
 import struct
 import subprocess
 import termios
+from collections.abc import Mapping
 from types import TracebackType
 from typing import Self
 
@@ -20,7 +21,9 @@ LIMIT_S = 20.0
 class PseudoTerminal:
     """A process on a pty."""
 
-    def __init__(self, *arguments: str, columns: int = 80, lines: int = 24) -> None:
+    def __init__(
+        self, *arguments: str, columns: int = 80, lines: int = 24, variables: Mapping[str, str] | None = None
+    ) -> None:
         self._near, self._far = pty.openpty()
         self.size(columns, lines)
         self.before = termios.tcgetattr(self._far)
@@ -29,7 +32,7 @@ class PseudoTerminal:
             stdin=self._far,
             stdout=self._far,
             stderr=self._far,
-            env=environment() | {"TERM": "xterm", "PYTHONIOENCODING": "utf-8"},
+            env=environment() | {"TERM": "xterm", "PYTHONIOENCODING": "utf-8"} | dict(variables or {}),
             start_new_session=True,
         )
         self.written = b""

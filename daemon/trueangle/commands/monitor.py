@@ -5,6 +5,7 @@ import asyncio
 import contextlib
 import datetime
 import json
+import os
 import signal
 import sys
 import time
@@ -18,7 +19,7 @@ from trueangle.core.monitor_view import ASCII_SIGNS, UNICODE_SIGNS, MonitorState
 from trueangle.core.register_fields import MAP_VERSION
 from trueangle.core.register_reading import GROUPS, GroupReading, SlotReading, fast_block, read_group, status_words
 from trueangle.edges.modbus_client import ModbusReader
-from trueangle.edges.terminal import CTRL_C, CTRL_D, FullScreen, speaks_unicode
+from trueangle.edges.terminal import CTRL_C, CTRL_D, FullScreen, speaks_unicode, wants_colour
 from trueangle.errors import LinkError, NodeFault
 
 RETRY_S = 1.0
@@ -124,7 +125,7 @@ async def _screen(reader: ModbusReader, names: Mapping[int, str], every_s: float
                         height=height,
                         now_s=time.monotonic(),
                         clock=_clock(),
-                        colour=True,
+                        colour=wants_colour(os.environ),
                         signs=signs,
                     )
                 )

@@ -5,7 +5,7 @@ import codecs
 import os
 import termios
 import tty
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 from typing import Self, TextIO
 
@@ -20,6 +20,11 @@ def speaks_unicode(stream: TextIO) -> bool:
         return codecs.lookup(stream.encoding or "ascii").name.startswith("utf")
     except LookupError:
         return False
+
+
+def wants_colour(environment: Mapping[str, str]) -> bool:
+    """Whether colours may be sent: not where NO_COLOR holds any text (no-color.org) or the terminal has none."""
+    return not environment.get("NO_COLOR") and environment.get("TERM") != "dumb"
 
 
 class FullScreen:
