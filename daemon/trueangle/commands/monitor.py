@@ -46,7 +46,7 @@ def _monitor(options: argparse.Namespace) -> int:
     if not 20 <= options.every_ms <= 60_000:
         found = str(options.every_ms)
         raise ContractError([Fault(where="--every-ms", expected="20 to 60000", found=found)])
-    reader = ModbusReader(target.host, target.port, target.unit_id)
+    reader = target.reader()
     if options.json or options.once:
         return asyncio.run(_stream(reader, target.names, options))
     if not (sys.stdin.isatty() and sys.stdout.isatty()):

@@ -70,7 +70,7 @@ async def _run(target: ModbusTarget, options: argparse.Namespace) -> int:
         max_bytes=round(options.max_mib * MIB), rotate_bytes=round(options.rotate_mib * MIB), rotate_s=None
     )
     sink = PatientRecorder(RecordFiles(options.out, limits), options.out)
-    reader = ModbusReader(target.host, target.port, target.unit_id)
+    reader = target.reader()
     await reader.connect()
     joints = await _joints(reader, target, options.slot)
     makers = {joint.slot: RowMaker() for joint in joints}
