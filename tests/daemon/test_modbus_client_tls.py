@@ -48,7 +48,7 @@ def shown(authority: Authority, identity: Identity) -> list[str]:
     ]
 
 
-def asked(plant: Plant, *arguments: str) -> tuple[int, str, str]:
+def asked(plant: Plant, *arguments: str, exception: int = 0) -> tuple[int, str, str]:
     """A command against a server with mutual TLS; exit code, stdout, stderr."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.verify_mode = ssl.CERT_REQUIRED
@@ -57,6 +57,7 @@ def asked(plant: Plant, *arguments: str) -> tuple[int, str, str]:
 
     async def scenario() -> tuple[int, str, str]:
         async with RegisterServer(image_of({1: None}), context) as server:
+            server.exception = exception
             asyncio.get_running_loop().set_exception_handler(lambda *_: None)
             done = await asyncio.to_thread(trueangled, *arguments, "--port", str(server.port))
             return done.returncode, done.stdout, done.stderr

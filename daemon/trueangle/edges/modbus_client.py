@@ -11,7 +11,7 @@ from trueangle.core.modbus_request import EXCEPTION_MEANING, AnswerStream, ReadR
 from trueangle.errors import LinkError, NodeFault
 
 TIMEOUT_S = 2.0
-ILLEGAL_ADDRESS = 2
+ILLEGAL_FUNCTION, ILLEGAL_ADDRESS = 1, 2
 
 
 class ModbusReader:
@@ -87,9 +87,10 @@ class ModbusReader:
             return None
         if answer.exception is not None:
             meaning = EXCEPTION_MEANING.get(answer.exception, "unknown")
-            raise NodeFault(
-                f"{self.where}: exception {answer.exception:02d} ({meaning}) for {count} registers at {address}"
-            )
+            refused = self._tls is not None and answer.exception == ILLEGAL_FUNCTION
+            advice = "; the role in our certificate may not read there" if refused else ""
+            about = f"exception {answer.exception:02d} ({meaning}) for {count} registers at {address}"
+            raise NodeFault(f"{self.where}: {about}{advice}")
         return answer.registers
 
     async def close(self) -> None:
@@ -131,7 +132,8 @@ def _words(error: Exception) -> str:
     if isinstance(error, ssl.SSLCertVerificationError):
         return f"the server's certificate is not accepted: {error.verify_message}"
     if isinstance(error, ssl.SSLError):
-        return f"TLS: {(error.reason or str(error)).lower().replace('_', ' ')}"
+        # What is no PEM at all has no reason of its own.
+        return f"TLS: {error.reason.lower().replace('_', ' ')}" if error.reason else "no PEM of it"
     if isinstance(error, OSError) and error.errno and error.errno > 0:
         # asyncio's own words repeat the address.
         return os.strerror(error.errno)
