@@ -6,6 +6,7 @@ import fcntl
 import os
 import pty
 import re
+import signal
 import struct
 import subprocess
 import termios
@@ -75,6 +76,10 @@ class PseudoTerminal:
 
     def keys(self, text: str) -> None:
         os.write(self._near, text.encode())
+
+    def interrupt(self) -> None:
+        """What Ctrl-C does where the terminal controls the process."""
+        self._process.send_signal(signal.SIGINT)
 
     def size(self, columns: int, lines: int) -> None:
         fcntl.ioctl(self._near, termios.TIOCSWINSZ, struct.pack("HHHH", lines, columns, 0, 0))

@@ -3,6 +3,7 @@
 import asyncio
 import codecs
 import os
+import signal
 import termios
 import tty
 from collections.abc import Callable, Mapping, Sequence
@@ -106,12 +107,17 @@ class Progress:
 
 
 def ask(question: str, *, keyboard: TextIO, screen: TextIO) -> str | None:
-    """The answer of a person; None where there is no terminal or its end came."""
+    """The answer of a person; None where there is no terminal or its end came. Ctrl-C is KeyboardInterrupt."""
     if not keyboard.isatty():
         return None
     screen.write(question)
     screen.flush()
-    line = keyboard.readline()
+    # asyncio's handler would only note the signal, and the loop stands still until the line is whole.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        line = keyboard.readline()
+    finally:
+        signal.signal(signal.SIGINT, before)
     return line.strip() if line else None
 
 
