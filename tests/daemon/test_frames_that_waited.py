@@ -3,7 +3,7 @@
 import time
 
 import pytest
-from tests.daemon.test_can_bus import run, socketcan_ear
+from tests.fakes.can_bus_ear import run, socketcan_ear
 
 MS = 1_000_000
 STALL_NS = 200 * MS

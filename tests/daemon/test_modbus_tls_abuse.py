@@ -1,4 +1,4 @@
-"""Modbus/TCP Security against clients that stretch it: odd records and certificates, slow and repeated handshakes."""
+"""Modbus/TCP Security and clients that stretch it: odd records and certificates, slow and repeated handshakes."""
 
 import asyncio
 import shutil

@@ -147,7 +147,7 @@ class TruthFuzz:
             RegisterMap([joint_identity(joint.slot) for joint in self.joints]),
             publish=self._check,
             on_status=lambda slot, before, after: None,
-            on_clash=lambda slot, reason: None,
+            on_clash=lambda bus, node_id, reason: None,
             today=lambda: self._today,
         )
 

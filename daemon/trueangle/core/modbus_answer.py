@@ -18,7 +18,7 @@ TCP_UNIT_IDS = frozenset({0, 255})
 
 _MBAP = struct.Struct(">HHHB")
 _READ_FRAME = struct.Struct(">HIHHH")
-"""A frame of FC 3 or 4: transaction; protocol id and length as one, unit id and function as one; address; count."""
+"""A frame of FC 3 or 4: transaction; protocol id and length; unit id and function; address; count."""
 _READ_ANSWER = struct.Struct(">HIHB")
 _READ_BYTES = _READ_FRAME.size
 _READ_LENGTH = 6
