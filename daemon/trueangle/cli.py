@@ -5,6 +5,7 @@ Exit codes: 0 done; 1 the service could not go on (port taken); 2 bad input, eve
 
 import argparse
 import asyncio
+import errno
 import gc
 import logging
 import os
@@ -13,18 +14,20 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from trueangle.commands import commission, monitor, record, scan, verify
+from trueangle.commands import Commands, commission, monitor, record, scan, verify
 from trueangle.config import DaemonConfig, load_config
 from trueangle.contract.errors import ContractError, TrueangleError
 from trueangle.contract.metadata import ModelMetadata
 from trueangle.core.metrics import render_metric_table
 from trueangle.core.register_table import render_csv, render_markdown, render_text
-from trueangle.edges.journal import LogFormatter
+from trueangle.edges.journal import LogFormatter, visible
 from trueangle.edges.onnx_model import load_model
 from trueangle.edges.systemd import ServiceNotifier, handed_over_sockets, is_journal
 from trueangle.service import Loaded, Service, load, state_directory
 from trueangle.service.modbus_side import TlsSettings, tls_settings, uses_credentials
+from trueangle.version import own_version
 
+_DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 _RENDERERS = {"text": render_text, "markdown": render_markdown, "csv": render_csv}
 
 
@@ -32,52 +35,97 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     options = _parser().parse_args(arguments)
     try:
-        return options.command(options)
+        code: int = options.command(options)
+        sys.stdout.flush()
     except ContractError as error:
         for fault in error.faults:
-            print(f"trueangled: {fault}", file=sys.stderr)
+            _tell(str(fault))
         return 2
     except BrokenPipeError:
         # Whoever read our output has gone, as `head` does; the interpreter must not try to write the rest.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except TrueangleError as error:
-        print(f"trueangled: {error}", file=sys.stderr)
+        _tell(str(error))
+        return 1
+    except OSError as error:
+        if error.errno not in _DISK_FULL or error.filename is not None:
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _tell(f"standard output: {error.strerror}")
         return 1
     except KeyboardInterrupt:
         # What a shell makes of SIGINT, without a traceback.
         return 130
+    return code
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="trueangled", description="Serves corrected encoder angles over Modbus.")
+    parser.add_argument("--version", action="version", version=f"trueangled {own_version()}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    _add_service(commands)
+    _add_checks(commands)
+    _add_tables(commands)
+    for module in (scan, commission, verify, monitor, record):
+        module.add_parser(commands)
+    return parser
 
-    run = commands.add_parser("run", help="read the nodes, correct, serve")
+
+def _add_service(commands: Commands) -> None:
+    run = commands.add_parser(
+        "run",
+        help="read the nodes, correct, serve",
+        description="Read the nodes, correct their angles, serve them over Modbus until SIGTERM. SIGHUP takes on "
+        "a changed configuration and changed models; the log goes to stderr.",
+        epilog="Example: trueangled run --config /etc/trueangle/trueangled.yaml",
+    )
     run.add_argument("--config", type=Path, required=True, metavar="FILE")
     run.set_defaults(command=_run)
 
-    check_config = commands.add_parser("check-config", help="check a configuration and its models, start nothing")
+
+def _add_checks(commands: Commands) -> None:
+    check_config = commands.add_parser(
+        "check-config",
+        help="check a configuration and its models, start nothing",
+        description="Check a configuration, its models and its TLS keys, as run and a reload do. Opens no bus and "
+        "no port. Every fault is a line with file and line number, and the exit code is then 2.",
+        epilog="Example: trueangled check-config /etc/trueangle/trueangled.yaml",
+    )
     check_config.add_argument("config", type=Path, metavar="FILE")
     check_config.set_defaults(command=_check_config)
 
-    check_model = commands.add_parser("check-model", help="check a model file and say what it is")
+    check_model = commands.add_parser(
+        "check-model",
+        help="check a model file and say what it is",
+        description="Check a model file's seal, replay its probes, and say which joint, encoder and calibration "
+        "it is for.",
+        epilog="Example: trueangled check-model /etc/trueangle/models/base.onnx",
+    )
     check_model.add_argument("model", type=Path, metavar="FILE")
     check_model.set_defaults(command=_check_model)
 
-    metrics = commands.add_parser("metrics", help="print the table of metrics, as Markdown")
+
+def _add_tables(commands: Commands) -> None:
+    metrics = commands.add_parser(
+        "metrics",
+        help="print the table of metrics, as Markdown",
+        description="Print the table of all metrics that Prometheus can read, as Markdown.",
+        epilog="Example: trueangled metrics > metrics.md",
+    )
     metrics.set_defaults(command=_metrics)
 
-    registers = commands.add_parser("registers", help="print the table of Modbus registers")
+    registers = commands.add_parser(
+        "registers",
+        help="print the table of Modbus registers",
+        description="Print the table of Modbus registers, with each address from 0 and as 3xxxx and 4xxxx.",
+        epilog="Example: trueangled registers --config trueangled.yaml --format csv > registers.csv",
+    )
     registers.add_argument(
         "--config", type=Path, metavar="FILE", help="the slots of this configuration (else the first six)"
     )
     registers.add_argument("--format", choices=list(_RENDERERS), default="text")
     registers.set_defaults(command=_registers)
-
-    for module in (scan, commission, verify, monitor, record):
-        module.add_parser(commands)
-    return parser
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -121,10 +169,10 @@ def _check_config(options: argparse.Namespace) -> int:
     loaded = load(options.config)
     config, joints = loaded.config, loaded.joints
     if uses_credentials(config.modbus) and "CREDENTIALS_DIRECTORY" not in os.environ:
-        _say(f"{options.config}: TLS keys come from systemd's credentials and are not checked here")
+        _say(f"{visible(str(options.config))}: TLS keys come from systemd's credentials and are not checked here")
     else:
         _tls(config, options.config)
-    _say(f"{options.config}: good; {len(config.buses)} bus(es), {len(joints)} joint(s)")
+    _say(f"{visible(str(options.config))}: good; {len(config.buses)} bus(es), {len(joints)} joint(s)")
     for joint in joints:
         entry = joint.config
         about = f"bus {entry.bus}, node {entry.node_id}, {entry.model}"
@@ -135,7 +183,7 @@ def _check_config(options: argparse.Namespace) -> int:
 def _check_model(options: argparse.Namespace) -> int:
     model = load_model(options.model)
     metadata = model.metadata
-    _say(f"{options.model}: good; {len(metadata.probes.angle_deg)} probes replayed")
+    _say(f"{visible(str(options.model))}: good; {len(metadata.probes.angle_deg)} probes replayed")
     _say(f"  SHA-256      {model.sha256}")
     _say(f"  joint        {metadata.joint}")
     _say(f"  model        {_model_line(metadata)}")
@@ -177,6 +225,11 @@ def _registers(options: argparse.Namespace) -> int:
 def _metrics(_: argparse.Namespace) -> int:
     _say(render_metric_table())
     return 0
+
+
+def _tell(trouble: str) -> None:
+    """One line on stderr, whatever a file's name or content is made of."""
+    print(f"trueangled: {visible(trouble)}", file=sys.stderr)
 
 
 def _say(text: str) -> None:

@@ -70,7 +70,7 @@ def test_a_reading_without_error_is_left_out_and_said() -> None:
         ("angle_deg,error_arcsec,angle_deg\n0,1,2\n", "expected each column once, found angle_deg 2 times"),
         ("", "expected a header line with column names, found an empty file"),
         ("angle_deg,error_arcsec\n", "expected at least one reading, found only a header"),
-        ("angle_deg,error_arcsec\n0,\n", "expected at least one reading, found none"),
+        ("angle_deg,error_arcsec\n0,\n", "expected at least one reading, found 1 without angle or error; a recor"),
     ],
 )
 def test_bad_input_is_named_by_line_and_column(text: str, found: str) -> None:

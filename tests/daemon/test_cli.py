@@ -2,13 +2,15 @@
 
 import csv
 import io
+import re
 import shutil
 import socket
+import subprocess
 from pathlib import Path
 
 import pytest
 from tests.fakes.running_service import MODELS, config_yaml, joint_yaml
-from tests.fakes.trueangled_process import trueangled
+from tests.fakes.trueangled_process import command, environment, trueangled
 
 GOOD_JOINTS = joint_yaml(1, "base") + joint_yaml(4, "wrist", model="partial.onnx")
 
@@ -145,3 +147,48 @@ def test_what_is_no_command_gets_the_usage_and_exit_2(arguments: list[str]) -> N
     done = trueangled(*arguments)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("usage: trueangled")
+
+
+COMMANDS = (
+    *("run", "check-config", "check-model", "registers", "metrics"),
+    *("scan", "commission", "verify", "monitor", "record"),
+)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_of_every_command_says_what_it_does_and_ends_with_an_example(name: str) -> None:
+    done = trueangled(name, "--help")
+    assert (done.returncode, done.stderr) == (0, "")
+    usage, description, *_, last = done.stdout.strip().split("\n\n")
+    assert usage.startswith(f"usage: trueangled {name}")
+    assert len(description.split()) >= 5
+    assert last.startswith("Example: trueangled " + name)
+
+
+def test_the_version_is_told() -> None:
+    done = trueangled("--version")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert re.fullmatch(r"trueangled \S+\n", done.stdout)
+
+
+def test_an_output_that_cannot_be_written_is_one_line_and_exit_1(site: Path) -> None:
+    for arguments in (["registers"], ["check-config", str(site / "good.yaml")]):
+        with Path("/dev/full").open("w") as full:
+            done = subprocess.run(
+                command(*arguments), stdout=full, stderr=subprocess.PIPE, text=True, check=False, env=environment()
+            )
+        assert done.returncode == 1
+        assert faults(done.stderr) == ["trueangled: standard output: No space left on device"]
+
+
+def test_a_file_name_that_is_no_text_is_shown_by_its_bytes(site: Path) -> None:
+    odd = site / "odd\udcff\n\x1b[31m.yaml"
+    shutil.copy(site / "good.yaml", odd)
+    done = trueangled("check-config", str(odd))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "\x1b" not in done.stdout
+    assert len(done.stdout.splitlines()) == 3
+    odd.unlink()
+    (line,) = faults(trueangled("check-config", str(odd)).stderr)
+    assert line.isprintable()
+    assert line.endswith(": expected a readable file, found No such file or directory")

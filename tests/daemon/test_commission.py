@@ -126,6 +126,23 @@ def test_a_person_is_asked_for_each_step_and_only_the_word_yes_counts(site: Path
     asyncio.run(scenario())
 
 
+def test_ctrl_c_at_a_question_ends_it_at_once_and_nothing_was_written(site: Path) -> None:
+    async def scenario() -> None:
+        node = encoder()
+        async with (
+            SocketcandServer(node) as server,
+            PseudoTerminal(*configured(site, server.port), columns=200) as terminal,
+        ):
+            await terminal.until("Type yes to do it:")
+            terminal.interrupt()
+            assert await terminal.ended() == 130
+            assert "Traceback" not in terminal.screen
+        assert node.writes == []
+        assert not (site / "undo.json").exists()
+
+    asyncio.run(scenario())
+
+
 def test_the_undo_file_is_whole_before_the_first_write(site: Path) -> None:
     class Watching(EncoderNode):
         def handle(self, can_id: int, data: bytes) -> None:

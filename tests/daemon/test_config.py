@@ -193,3 +193,30 @@ def test_a_temperature_that_no_node_could_tell_is_refused(sensor: str, found: st
 def test_an_encoder_whose_angle_cannot_be_known_is_refused(encoder: str, found: str) -> None:
     text = GOOD.replace("{counts_per_rev: 3276800}", f"{{counts_per_rev: 3276800, {encoder}}}", 1)
     assert any(found in fault for fault in faults_of(text)), faults_of(text)
+
+
+@pytest.mark.parametrize("odd", [r"a\0b", r"\uD800"])
+@pytest.mark.parametrize(
+    ("line", "where"),
+    [
+        ("modbus: {{host: {0}}}", "modbus.host"),
+        ("modbus: {{tls: {{certificate: {0}, private_key: k, client_ca: c}}}}", "modbus.tls.certificate"),
+        ("modbus: {{tls: {{certificate: c, private_key: {0}, client_ca: c}}}}", "modbus.tls.private_key"),
+        ("modbus: {{rtu: {{device: {0}}}}}", "modbus.rtu.device"),
+        ("metrics: {{port: 1, host: {0}}}", "metrics.host"),
+        ("state_directory: {0}", "state_directory"),
+    ],
+)
+def test_a_text_that_no_file_or_host_can_be_called_is_a_fault_of_its_line(line: str, where: str, odd: str) -> None:
+    (fault,) = faults_of(GOOD + line.format(f'"{odd}"') + "\n")
+    number = GOOD.count("\n") + 1
+    assert fault.startswith(f"t.yaml line {number}, {where}: expected a text without NUL and half characters")
+    assert fault.isprintable()
+
+
+@pytest.mark.parametrize("key", ["channel", "eds"])
+def test_so_is_one_inside_a_bus_or_a_joint(key: str) -> None:
+    odd = '"a\\0b"'
+    text = GOOD.replace("channel: c0", f"channel: {odd}") if key == "channel" else GOOD + f"    eds: {odd}\n"
+    (fault,) = faults_of(text)
+    assert f"{key}: expected a text without NUL" in fault

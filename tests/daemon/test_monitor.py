@@ -153,3 +153,23 @@ def test_without_a_terminal_and_without_a_server_it_says_so_in_one_line() -> Non
     assert done.stderr.startswith("trueangled: 127.0.0.1:1 unit 1: cannot connect")
     done = trueangled("monitor", "--port", "70000")
     assert done.returncode == 2
+
+
+COLOUR = re.compile(rb"\x1b\[[0-9;]*(3[0-7]|4[0-7])[0-9;]*m")
+
+
+@pytest.mark.parametrize(
+    ("variables", "coloured"),
+    [({}, True), ({"NO_COLOR": "1"}, False), ({"NO_COLOR": ""}, True), ({"TERM": "dumb"}, False)],
+)
+def test_who_wants_no_colours_gets_none(variables: dict[str, str], coloured: bool) -> None:
+    """no-color.org: any text but the empty one."""
+
+    async def scenario() -> None:
+        async with RegisterServer(image_of({1: None, 2: STALE})) as server:
+            terminal = PseudoTerminal("monitor", "--port", str(server.port), variables=variables)
+            async with terminal:
+                await terminal.until("1 of 2 joints NOT VALID")
+                assert bool(COLOUR.search(terminal.written)) is coloured
+
+    asyncio.run(scenario())

@@ -2,6 +2,7 @@
 
 import logging
 import os
+import re
 import shutil
 import socket
 import subprocess
@@ -77,11 +78,34 @@ def test_the_unit_is_notified_watched_reloaded_and_not_restarted_on_bad_input() 
         "Type=notify",
         "WatchdogSec=2",
         "DynamicUser=yes",
-        "StateDirectory=trueangle",
         "ExecReload=/bin/kill -HUP $MAINPID",
         "RestartPreventExitStatus=2",
     ):
         assert line in lines
+
+
+def numbers_of(unit: Path) -> dict[str, float]:
+    pairs = (line.split("=", 1) for line in unit.read_text("utf-8").splitlines() if "=" in line)
+    return {key: float(value) for key, value in pairs if value.replace(".", "").isdigit()}
+
+
+def test_a_service_that_fails_again_and_again_is_started_for_ever() -> None:
+    """systemd gives up on a unit that was started StartLimitBurst times within StartLimitIntervalSec. A port that
+    is taken for a minute must not leave an arm without a service that nobody starts again."""
+    told = numbers_of(UNIT)
+    assert told["RestartSec"] * told["StartLimitBurst"] >= told["StartLimitIntervalSec"]
+    # But a PLC that knocks at the socket of a service with a bad configuration does not start it without end.
+    assert told["StartLimitIntervalSec"] > 0
+
+
+def test_the_directory_of_recordings_in_the_example_is_made_by_the_unit() -> None:
+    """As DynamicUser the service can make none beside its state directory, and root's it could not write to."""
+    line = next(line for line in UNIT.read_text("utf-8").splitlines() if line.startswith("StateDirectory="))
+    made = {f"/var/lib/{name}" for name in line.removeprefix("StateDirectory=").split()}
+    example = (SYSTEMD.parent / "deploy" / "trueangled.yaml").read_text("utf-8")
+    wanted = set(re.findall(r"irectory: (/var/lib/\S+)", example))
+    assert wanted == {"/var/lib/trueangle", "/var/lib/trueangle/records"}
+    assert wanted <= made
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,11 @@ import fcntl
 import os
 import pty
 import re
+import signal
 import struct
 import subprocess
 import termios
+from collections.abc import Mapping
 from types import TracebackType
 from typing import Self
 
@@ -20,7 +22,9 @@ LIMIT_S = 20.0
 class PseudoTerminal:
     """A process on a pty."""
 
-    def __init__(self, *arguments: str, columns: int = 80, lines: int = 24) -> None:
+    def __init__(
+        self, *arguments: str, columns: int = 80, lines: int = 24, variables: Mapping[str, str] | None = None
+    ) -> None:
         self._near, self._far = pty.openpty()
         self.size(columns, lines)
         self.before = termios.tcgetattr(self._far)
@@ -29,7 +33,7 @@ class PseudoTerminal:
             stdin=self._far,
             stdout=self._far,
             stderr=self._far,
-            env=environment() | {"TERM": "xterm", "PYTHONIOENCODING": "utf-8"},
+            env=environment() | {"TERM": "xterm", "PYTHONIOENCODING": "utf-8"} | dict(variables or {}),
             start_new_session=True,
         )
         self.written = b""
@@ -72,6 +76,10 @@ class PseudoTerminal:
 
     def keys(self, text: str) -> None:
         os.write(self._near, text.encode())
+
+    def interrupt(self) -> None:
+        """What Ctrl-C does where the terminal controls the process."""
+        self._process.send_signal(signal.SIGINT)
 
     def size(self, columns: int, lines: int) -> None:
         fcntl.ioctl(self._near, termios.TIOCSWINSZ, struct.pack("HHHH", lines, columns, 0, 0))

@@ -1,6 +1,7 @@
 """A Modbus TCP server made of bytes that serves one image, and misbehaves as told."""
 
 import asyncio
+import ssl
 from types import TracebackType
 from typing import Self
 
@@ -10,7 +11,8 @@ from trueangle.core.registers import RegisterImage
 class RegisterServer:
     """Answers FC 4 from `image`; everything else as the flags say."""
 
-    def __init__(self, image: RegisterImage) -> None:
+    def __init__(self, image: RegisterImage, tls: ssl.SSLContext | None = None) -> None:
+        self._tls = tls
         self.image = image
         self.port = 0
         self.silent = False
@@ -35,7 +37,7 @@ class RegisterServer:
 
     async def start(self) -> None:
         """Listen, on the port of before if there was one."""
-        self._server = await asyncio.start_server(self._serve, "127.0.0.1", self.port)
+        self._server = await asyncio.start_server(self._serve, "127.0.0.1", self.port, ssl=self._tls)
         self.port = self._server.sockets[0].getsockname()[1]
 
     async def stop(self) -> None:

@@ -5,6 +5,7 @@ import asyncio
 import contextlib
 import datetime
 import json
+import os
 import signal
 import sys
 import time
@@ -18,7 +19,7 @@ from trueangle.core.monitor_view import ASCII_SIGNS, UNICODE_SIGNS, MonitorState
 from trueangle.core.register_fields import MAP_VERSION
 from trueangle.core.register_reading import GROUPS, GroupReading, SlotReading, fast_block, read_group, status_words
 from trueangle.edges.modbus_client import ModbusReader
-from trueangle.edges.terminal import CTRL_C, CTRL_D, FullScreen, speaks_unicode
+from trueangle.edges.terminal import CTRL_C, CTRL_D, FullScreen, speaks_unicode, wants_colour
 from trueangle.errors import LinkError, NodeFault
 
 RETRY_S = 1.0
@@ -45,7 +46,7 @@ def _monitor(options: argparse.Namespace) -> int:
     if not 20 <= options.every_ms <= 60_000:
         found = str(options.every_ms)
         raise ContractError([Fault(where="--every-ms", expected="20 to 60000", found=found)])
-    reader = ModbusReader(target.host, target.port, target.unit_id)
+    reader = target.reader()
     if options.json or options.once:
         return asyncio.run(_stream(reader, target.names, options))
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
@@ -124,7 +125,7 @@ async def _screen(reader: ModbusReader, names: Mapping[int, str], every_s: float
                         height=height,
                         now_s=time.monotonic(),
                         clock=_clock(),
-                        colour=True,
+                        colour=wants_colour(os.environ),
                         signs=signs,
                     )
                 )

@@ -9,7 +9,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from trueangle.commands import Commands
-from trueangle.commands.modbus_target import target_of
+from trueangle.commands.modbus_target import add_target, target_of
 from trueangle.config import load_config
 from trueangle.contract.calibration import read_campaign
 from trueangle.contract.errors import ContractError, Fault
@@ -25,7 +25,6 @@ from trueangle.core.verification import (
     combined_uncertainty,
     verify,
 )
-from trueangle.edges.modbus_client import ModbusReader
 from trueangle.edges.terminal import ask
 from trueangle.errors import NodeFault
 from trueangle.service import LoadedJoint, load_joints
@@ -45,19 +44,21 @@ def add_parser(commands: Commands) -> None:
         epilog="Example: trueangled verify --config trueangled.yaml --joint base --reference angles.csv "
         "--reference-u 0.5",
     )
-    parser.add_argument("--config", type=Path, required=True, metavar="FILE")
-    parser.add_argument("--joint", required=True, metavar="NAME")
-    parser.add_argument("--reference", required=True, metavar="FILE.csv|interactive")
+    add_target(parser, config_required=True)
+    parser.add_argument("--joint", required=True, metavar="NAME", help="of the configuration")
+    parser.add_argument(
+        "--reference",
+        required=True,
+        metavar="FILE.csv|interactive",
+        help="reference angles, or to be asked for them",
+    )
     parser.add_argument(
         "--reference-u", type=float, metavar="ARCSEC", help="standard uncertainty (k = 1) of the reference"
     )
     parser.add_argument(
         "--free-zero", action="store_true", help="the reference has a zero of its own: take an offset out"
     )
-    parser.add_argument("--host", help="of the running daemon (default: from the configuration)")
-    parser.add_argument("--port", type=int)
-    parser.add_argument("--unit-id", type=int, metavar="N")
-    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--json", action="store_true", help="one JSON document instead of the table")
     parser.set_defaults(command=_verify)
 
 
@@ -195,7 +196,7 @@ async def _ask_points(options: argparse.Namespace, joint: LoadedJoint) -> list[R
     if not sys.stdin.isatty():
         raise ContractError([Fault(where="--reference interactive", expected="a terminal", found="none")])
     target = target_of(options)
-    reader = ModbusReader(target.host, target.port, target.unit_id)
+    reader = target.reader()
     points: list[ReferencePoint] = []
     print("Bring the joint to a reference angle, let it stand still, type the angle in degrees; empty ends.")
     while True:

@@ -106,7 +106,9 @@ def read_campaign(data: bytes, *, source: str) -> Campaign:
     columns = {name: values[complete] for name, values in columns.items()}
     lines = lines[complete]
     if lines.size == 0:
-        raise ContractError([Fault(where=source, expected="at least one reading", found="none")])
+        found = f"{complete.size} without angle or error" if complete.size else "none"
+        advice = "a recording has an error only where a reference angle was told" if complete.size else ""
+        raise ContractError([Fault(where=source, expected="at least one reading", found=found, advice=advice)])
     return _campaign(columns, lines, source, hashlib.sha256(data).hexdigest(), notes)
 
 

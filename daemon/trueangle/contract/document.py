@@ -28,6 +28,8 @@ MAX_DEPTH = 50
 MAX_INTEGER_BITS = 1000
 """Larger numbers fit no binary64, and Python refuses to print the largest."""
 
+_UNWRITABLE = re.compile("[\0\ud800-\udfff]")
+"""In no name of a file, host or device; the system's calls refuse them with an error of Python's own."""
 _PLAIN_INTEGER = r"-?(0|[1-9][0-9]*)|0x[0-9a-fA-F]+"
 
 
@@ -372,7 +374,9 @@ def _structure_scalar(hint: type[Any], node: Node, faults: list[Fault], limits: 
     holds = fits and finite
     if holds and limit:
         holds = limit.holds(cast("float", value))
-    if holds and pattern:
+    if holds and isinstance(value, str) and _UNWRITABLE.search(value):
+        holds, expected = False, "a text without NUL and half characters (surrogates)"
+    elif holds and pattern:
         holds = re.fullmatch(pattern.regex, cast("str", value)) is not None
     if not holds:
         faults.append(Fault(where=node.where, expected=expected, found=_shown(node), advice=_advice(hint, value)))

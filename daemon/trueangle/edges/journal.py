@@ -15,7 +15,7 @@ class LogFormatter(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         """The record's line, and a traceback's lines after it, each with the priority."""
-        lines = ["".join(_visible(character) for character in record.getMessage())]
+        lines = [visible(record.getMessage())]
         if record.exc_info:
             lines += self.formatException(record.exc_info).splitlines()
         start = f"<{_priority(record.levelno)}>" if self._journal else f"{record.levelname} "
@@ -26,6 +26,9 @@ def _priority(level: int) -> int:
     return next((priority for least, priority in _PRIORITIES if level >= least), _DEBUG)
 
 
-def _visible(character: str) -> str:
-    """Control characters are shown: one of a file's could end the line or steer the terminal."""
-    return character if character.isprintable() else character.encode("unicode_escape").decode("ascii")
+def visible(text: str) -> str:
+    """The text with its control characters shown: one of a file's could end the line or steer the terminal."""
+    return "".join(
+        character if character.isprintable() else character.encode("unicode_escape").decode("ascii")
+        for character in text
+    )

@@ -3,9 +3,10 @@
 import asyncio
 import codecs
 import os
+import signal
 import termios
 import tty
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 from typing import Self, TextIO
 
@@ -20,6 +21,11 @@ def speaks_unicode(stream: TextIO) -> bool:
         return codecs.lookup(stream.encoding or "ascii").name.startswith("utf")
     except LookupError:
         return False
+
+
+def wants_colour(environment: Mapping[str, str]) -> bool:
+    """Whether colours may be sent: not where NO_COLOR holds any text (no-color.org) or the terminal has none."""
+    return not environment.get("NO_COLOR") and environment.get("TERM") != "dumb"
 
 
 class FullScreen:
@@ -101,12 +107,17 @@ class Progress:
 
 
 def ask(question: str, *, keyboard: TextIO, screen: TextIO) -> str | None:
-    """The answer of a person; None where there is no terminal or its end came."""
+    """The answer of a person; None where there is no terminal or its end came. Ctrl-C is KeyboardInterrupt."""
     if not keyboard.isatty():
         return None
     screen.write(question)
     screen.flush()
-    line = keyboard.readline()
+    # asyncio's handler would only note the signal, and the loop stands still until the line is whole.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        line = keyboard.readline()
+    finally:
+        signal.signal(signal.SIGINT, before)
     return line.strip() if line else None
 
 

@@ -1,7 +1,6 @@
 """What the metrics say of the running service: read from its plain counters at the moment of a scrape."""
 
 import datetime
-import importlib.metadata
 from collections.abc import Iterator, Mapping
 
 from trueangle.core.health import StatusBit
@@ -11,6 +10,7 @@ from trueangle.service.arrangement import Arrangement
 from trueangle.service.bus_line import BusLine
 from trueangle.service.joints import LoadedJoint
 from trueangle.service.reloading import ReloadRecord
+from trueangle.version import own_version
 
 
 def service_samples(
@@ -37,7 +37,7 @@ def service_samples(
     yield _one("reloads_total", reloads.refused, "refused")
     yield _one("reload_refused", bool(reloads.refusal))
     yield _one("start_time_seconds", started_s)
-    yield _one("info", 1, _version())
+    yield _one("info", 1, own_version())
 
 
 def _joint_samples(arrangement: Arrangement, slot: int, joint: LoadedJoint, now_ns: int) -> Iterator[MetricSample]:
@@ -87,10 +87,3 @@ def _bus_samples(name: str, line: BusLine) -> Iterator[MetricSample]:
 
 def _one(name: str, value: float, *labels: str) -> MetricSample:
     return MetricSample(name=f"trueangle_{name}", labels=labels, value=float(value))
-
-
-def _version() -> str:
-    try:
-        return importlib.metadata.version("trueangle")
-    except importlib.metadata.PackageNotFoundError:
-        return "unknown"

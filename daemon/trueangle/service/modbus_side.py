@@ -1,7 +1,6 @@
 """The Modbus servers of one configuration: plain TCP, TLS and a serial line, all on the same image and desk."""
 
 from collections.abc import Callable, Mapping
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from socket import socket
 
@@ -18,6 +17,7 @@ from trueangle.edges.modbus_server import (
 )
 from trueangle.edges.modbus_server.server import Listener
 from trueangle.edges.modbus_server.tls import is_credential
+from trueangle.version import own_version
 
 __all__ = ["ModbusSide", "TlsSettings", "tls_settings", "uses_credentials"]
 
@@ -47,7 +47,7 @@ class ModbusSide:
     ) -> None:
         """`tls` is that of `tls_settings`; `sockets` are those that systemd handed over, by their names."""
         self._commands = config.commands
-        identification = Identification(revision=_revision())
+        identification = Identification(revision=own_version())
         listener = None
         if config.tls is not None and tls is not None:
             listener = Listener(host=config.tls.host or config.host, port=config.tls.port, tls=tls)
@@ -117,10 +117,3 @@ class ModbusSide:
         if self.rtu is not None:
             self.rtu.close()
         await self.tcp.close()
-
-
-def _revision() -> str:
-    try:
-        return version("trueangle")
-    except PackageNotFoundError:
-        return "unknown"

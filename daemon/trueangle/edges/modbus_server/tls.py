@@ -100,8 +100,9 @@ def _reason(error: OSError) -> str:
     """OpenSSL's words, without its place in the library's source."""
     if isinstance(error, ssl.SSLCertVerificationError):
         return str(error.verify_message)
-    if isinstance(error, ssl.SSLError) and error.reason:
-        return error.reason.lower().replace("_", " ")
+    if isinstance(error, ssl.SSLError):
+        # What is no PEM at all has no reason of its own.
+        return error.reason.lower().replace("_", " ") if error.reason else "no PEM of it"
     return error.strerror or str(error)
 
 
