@@ -61,7 +61,7 @@ DATED = {
     "edges/recorder.py": 1,
     "service/running.py": 2,
 }
-"""How often a file reads the wall clock: to write a date for people, to see whether a calibration is past due, and in
+"""How often a file reads the wall clock: to write a date for people, to see whether a calibration is past due; in
 `socketcan.py` to read the kernel's stamps, which are its own, and to notice that it was set meanwhile."""
 
 
