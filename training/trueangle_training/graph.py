@@ -29,25 +29,39 @@ class Graph:
         self._nodes: list[onnx.NodeProto] = []
         self._constants: dict[str, onnx.TensorProto] = {}
 
-    def constant(self, name: str, values: Floats | NDArray[np.int64]) -> str:
+    def constant(self, name: str, values: Floats | NDArray[np.int64] | NDArray[np.bool_]) -> str:
         """A constant; the same name and values may be asked for again."""
         tensor = numpy_helper.from_array(np.ascontiguousarray(values).reshape(np.shape(values)), name)
         if self._constants.setdefault(name, tensor) != tensor:
             raise ValueError(f"constant {name}: expected the values it has already, found others")
         return name
 
-    def node(self, operator: str, inputs: list[str], output: str, **attributes: int) -> str:
+    def node(self, operator: str, inputs: list[str], output: str, **attributes: int | list[int]) -> str:
         """One operator; its result's name."""
         node = helper.make_node(operator, inputs, [output], name=output)
         node.attribute.extend(helper.make_attribute(name, value) for name, value in attributes.items())
         self._nodes.append(node)
         return output
 
-    def linear(self, column: str, factors: Floats, offsets: Floats, output: str, constants: str) -> str:
-        """column [n, 1] times factors [k] plus offsets [k], as [n, k]; `constants` begins the constants' names."""
-        weights = self.constant(f"{constants}_factors", np.asarray(factors, dtype=np.float64)[None, :])
-        weighted = self.node("MatMul", [column, weights], f"{output}_weighted")
-        return self.node("Add", [weighted, self.constant(f"{constants}_offsets", offsets)], output)
+    def column(self, vector: str) -> str:
+        """A vector [n] as [n, 1]."""
+        return self.node("Unsqueeze", [vector, self.second_axis()], f"{vector}_column")
+
+    def second_axis(self) -> str:
+        """The axis of what belongs to one reading, as the constant that some operators want."""
+        return self.constant("second_axis", np.array([1], dtype=np.int64))
+
+    def total(self, columns: str, weights: Floats, output: str) -> str:
+        """The sum of columns [n, k] times weights [k], as [n]."""
+        # As a vector at once the runtime refuses n = 0.
+        by = self.constant(f"{output}_weights", weights[:, None])
+        summed = self.node("MatMul", [columns, by], f"{output}_column")
+        return self.node("Squeeze", [summed, self.second_axis()], output)
+
+    def lines(self, column: str, factors: Floats, offsets: Floats, output: str) -> str:
+        """column [n, 1] times factors [k] plus offsets [k], as [n, k]."""
+        by = self.constant(f"{output}_factors", np.asarray(factors, dtype=np.float64)[None, :])
+        return self.node("Gemm", [column, by, self.constant(f"{output}_offsets", offsets)], output)
 
     def model(self, name: str, inputs: list[str], outputs: list[str]) -> onnx.ModelProto:
         """The checked model; inputs and outputs are float64 vectors of one length."""
@@ -79,5 +93,4 @@ def reduced_angle(graph: Graph) -> str:
     negative = graph.node("Less", [remainder, zero], "remainder_is_negative")
     raised = graph.node("Add", [remainder, turn], "remainder_raised_deg")
     positive = graph.node("Where", [negative, raised, remainder], "positive_deg")
-    full_turn = graph.node("GreaterOrEqual", [positive, turn], "is_full_turn")
-    return graph.node("Where", [full_turn, zero, positive], "reduced_deg")
+    return graph.node("Mod", [positive, turn], "reduced_deg", fmod=1)
