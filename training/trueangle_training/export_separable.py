@@ -57,7 +57,8 @@ class _WithSpreads:
         harmonics = self._harmonics(graph, angle_column, temperature_column)
         # The basis on either side of the temperature makes the slope over it.
         shifts_c = (0.0, SLOPE_STEP_C, -SLOPE_STEP_C) if self._budget.temperature_c > 0.0 else (0.0,)
-        corrections = self._corrections(graph, harmonics, shifts_c, temperature_column)
+        near = self._near_ones(graph, harmonics)
+        corrections = self._corrections(graph, near, shifts_c, temperature_column)
         here = graph.constant("unshifted", np.eye(len(shifts_c))[:, :1])
         alone = graph.node("MatMul", [corrections, here], "correction_alone")
         axes = graph.constant("inner_axes", np.array([1, 2], dtype=np.int64))
@@ -66,7 +67,7 @@ class _WithSpreads:
         weights = graph.constant("steady_parts_arcsec", self._steady_parts(len(shifts_c)))
         parts = graph.node("MatMul", [every, weights], "steady_parts")
         if self._moving:
-            moving = self._moving_parts(graph, harmonics, temperature_column)
+            moving = self._moving_parts(graph, near, temperature_column)
             parts = graph.node("Concat", [parts, moving], "parts", axis=2)
         return correction, graph.node("ReduceL2", [parts], "total", axes=[1, 2], keepdims=0)
 
@@ -81,26 +82,27 @@ class _WithSpreads:
         products = graph.node("Mul", [sines, by], "harmonics_by_temperature")
         return graph.node("Unsqueeze", [products, graph.second_axis()], "harmonics_deep")
 
-    def _corrections(
-        self, graph: Graph, harmonics: str, shifts_c: tuple[float, ...], temperature_column: str
-    ) -> str:
+    def _near_ones(self, graph: Graph, harmonics: str) -> str:
+        """Without those that only the steady spreads have."""
+        if not self._far.count:
+            return harmonics
+        bounds = {"near_from": 0, "near_to": self._level.stop, "last_axis": 2}
+        slicing = [graph.constant(name, np.array([bound], dtype=np.int64)) for name, bound in bounds.items()]
+        return graph.node("Slice", [harmonics, *slicing], "near_harmonics")
+
+    def _corrections(self, graph: Graph, near: str, shifts_c: tuple[float, ...], temperature_column: str) -> str:
         """The correction at T and at the other shifts from it, [n, 1, shifts]."""
         model = self._model
-        weights = np.zeros((self._beyond.stop, model.basis.size))
+        weights = np.zeros((self._level.stop, model.basis.size))
         weights[self._level] = self._near.weights(-model.weights_arcsec.T, model.orders, model.datum_deg)
-        by_function = graph.node(
-            "MatMul", [harmonics, graph.constant("weights_arcsec", weights)], "harmonics_weighted"
-        )
+        by_function = graph.node("MatMul", [near, graph.constant("weights_arcsec", weights)], "harmonics_weighted")
         functions = temperature_functions(graph, model.basis, shifts_c, temperature_column)
         shape = graph.constant("functions_shape", np.array([-1, model.basis.size, len(shifts_c)], dtype=np.int64))
         deep = graph.node("Reshape", [functions, shape], "temperature_functions")
         return graph.node("MatMul", [by_function, deep], "corrections")
 
-    def _moving_parts(self, graph: Graph, harmonics: str, temperature_column: str) -> str:
+    def _moving_parts(self, graph: Graph, near: str, temperature_column: str) -> str:
         """What spreads that change with temperature add to the parts, [n, 1, parts]."""
-        bounds = {"moving_from": self._tilted.start, "moving_to": self._level.stop, "last_axis": 2}
-        slicing = [graph.constant(name, np.array([bound], dtype=np.int64)) for name, bound in bounds.items()]
-        own = graph.node("Slice", [harmonics, *slicing], "moving_harmonics")
         nodes_c = graph.constant("nodes_c", self._nodes_c())
         passed = graph.node("GreaterOrEqual", [temperature_column, nodes_c], "nodes_passed")
         counts = graph.node("Cast", [passed], "nodes_passed_count", to=TensorProto.INT64)
@@ -108,7 +110,7 @@ class _WithSpreads:
         interval = graph.node("ReduceSum", [counts, graph.second_axis()], "interval", keepdims=0)
         table = graph.constant("interval_factors_arcsec", self._interval_factors())
         factor = graph.node("Gather", [table, interval], "interval_factor", axis=0)
-        return graph.node("MatMul", [own, factor], "moving_parts")
+        return graph.node("MatMul", [near, factor], "moving_parts")
 
     def _steady_parts(self, shifts: int) -> Floats:
         """Sensor, reference and steady spreads as weights of corrections and harmonics, [both, parts]."""

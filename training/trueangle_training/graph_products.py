@@ -14,6 +14,9 @@ from trueangle_training.methods.separable import TemperatureBasis, harmonics
 
 Floats = NDArray[np.float64]
 
+FAR_OUT = 40.0
+"""1 - tanh(40) = 2 exp(-80) is far below half a unit in the last place of 1."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Harmonics:
@@ -52,35 +55,40 @@ class Harmonics:
 def temperature_functions(
     graph: Graph, basis: TemperatureBasis, shifts_c: tuple[float, ...], temperature_column: str
 ) -> str:
-    """φ(T + shift) of each function for each shift in turn, [n, size · shifts].
-
-    All begin as lines over T; a mask of constants then takes each from the node that bent it.
-    """
-    kinds = np.array([*(0,) * len(basis.powers), *(1,) * len(basis.tanh_slope), *(2,) * len(basis.bell_centre)])
-    exponents = np.array([*basis.powers, *(1,) * (basis.size - len(basis.powers))], dtype=np.float64)
-    slope, offset = _lines_over_t(basis)
-    shifts = np.array(shifts_c) - basis.centre_c
-    offsets = offset[:, None] + np.multiply.outer(slope / basis.scale_c, shifts)
-    factors, kind, exponent = (np.repeat(each, shifts.size) for each in (slope / basis.scale_c, kinds, exponents))
-    line = graph.lines(temperature_column, factors, offsets.ravel(), "temperature_lines")
-    result = line
-    if (exponent > 1.0).any():
-        raised = graph.constant("exponents", np.maximum(exponent, 1.0))
-        result = graph.node("Pow", [line, raised], "powers")
-    if (kind == 1).any():
-        bent = graph.node("Tanh", [line], "tanh")
-        result = graph.node("Where", [graph.constant("is_tanh", kind == 1), bent, result], "with_tanh")
-    if (kind == 2).any():
-        square = graph.node("Mul", [line, line], "bell_square")
-        bent = graph.node("Exp", [graph.node("Neg", [square], "bell_exponent")], "bell")
-        result = graph.node("Where", [graph.constant("is_bell", kind == 2), bent, result], "with_bells")
-    return result
-
-
-def _lines_over_t(basis: TemperatureBasis) -> tuple[Floats, Floats]:
-    """Slope and offset over t of what is raised, put into tanh, or squared for a bell; [size] each."""
+    """φ(T + shift) of each function for each shift in turn, [n, size · shifts]."""
+    tanh = (np.array(basis.tanh_slope), np.array(basis.tanh_offset))
     width = np.array(basis.bell_length) * np.sqrt(2.0)
-    slope = [*(float(power > 0) for power in basis.powers), *basis.tanh_slope, *(1.0 / width)]
-    offset = [*(float(power == 0) for power in basis.powers), *basis.tanh_offset]
-    offset += list(-np.array(basis.bell_centre) / width)
-    return np.array(slope), np.array(offset)
+    bells = (1.0 / width, -np.array(basis.bell_centre) / width)
+    powers = basis.powers
+    # Where 1 is the only power it costs no node of its own: it is a tanh far out, or else the top of a bell.
+    if powers == (0,) and tanh[0].size:
+        powers, tanh = (), _with_constant(tanh, FAR_OUT)
+    elif powers == (0,) and bells[0].size:
+        powers, bells = (), _with_constant(bells, 0.0)
+    shifts = np.array(shifts_c) - basis.centre_c
+
+    def lines(over_t: tuple[Floats, Floats], name: str) -> str:
+        slope, offset = over_t[0] / basis.scale_c, over_t[1][:, None]
+        offsets = (offset + np.multiply.outer(slope, shifts)).ravel()
+        return graph.lines(temperature_column, np.repeat(slope, shifts.size), offsets, name)
+
+    parts: list[str] = []
+    if powers:
+        exponents = np.repeat(np.array(powers, dtype=np.float64), shifts.size)
+        is_one = np.array(powers) == 0
+        # 1 is a line and no power, which would be 1 even where the temperature is not a number.
+        line = lines((np.where(is_one, 0.0, 1.0), np.where(is_one, 1.0, 0.0)), "temperature_lines")
+        raised = graph.constant("temperature_exponents", np.maximum(exponents, 1.0))
+        parts.append(line if max(powers) < 2 else graph.node("Pow", [line, raised], "temperature_powers"))
+    if tanh[0].size:
+        parts.append(graph.node("Tanh", [lines(tanh, "tanh_argument")], "tanh"))
+    if bells[0].size:
+        line = lines(bells, "bell_argument")
+        square = graph.node("Mul", [line, line], "bell_square")
+        parts.append(graph.node("Exp", [graph.node("Neg", [square], "bell_exponent")], "bell"))
+    return parts[0] if len(parts) == 1 else graph.node("Concat", parts, "functions", axis=1)
+
+
+def _with_constant(lines: tuple[Floats, Floats], value: float) -> tuple[Floats, Floats]:
+    """A line that is `value` everywhere, then the lines."""
+    return np.concatenate([[0.0], lines[0]]), np.concatenate([[value], lines[1]])
