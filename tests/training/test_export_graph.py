@@ -36,8 +36,15 @@ BASES = {
         bell_length=(0.8,),
     ),
 }
-MOST_NODES = {"tanh": 32, "bells": 34, "line and bells": 36, "powers": 32, "constant": 31, "all": 38}
-MOST_NODES_WITHOUT_UNCERTAINTY = {**dict.fromkeys(BASES, 18), "line and bells": 20, "constant": 15, "all": 22}
+MOST_NODES = {"tanh": 29, "bells": 31, "line and bells": 33, "powers": 29, "constant": 28, "all": 35}
+MOST_NODES_WITHOUT_UNCERTAINTY = {
+    "tanh": 13,
+    "bells": 15,
+    "line and bells": 17,
+    "powers": 13,
+    "constant": 12,
+    "all": 19,
+}
 
 
 def model_of(basis: TemperatureBasis, *, datum_deg: float = 0.0) -> SeparableModel:
@@ -62,7 +69,22 @@ def model_of(basis: TemperatureBasis, *, datum_deg: float = 0.0) -> SeparableMod
 
 def grid(datum_deg: float) -> tuple[Floats, Floats]:
     """All pairs of angles at seam, datum and turns of it with temperatures on, beside and far from the nodes."""
-    seam = [0.0, -0.0, 1e-300, -1e-300, 1e-20, -1e-20, -1e-14, 1e-9, np.nextafter(360.0, 0.0), 360.0, -720.0]
+    # x + 360 is 360 down to -2^-45 and the largest number below 360 beyond.
+    round_to_turn = [-(2.0**-45), np.nextafter(-(2.0**-45), -1.0), 2.0**-45, -360.0 - 2.0**-44]
+    seam = [
+        *round_to_turn,
+        0.0,
+        -0.0,
+        1e-300,
+        -1e-300,
+        1e-20,
+        -1e-20,
+        -1e-14,
+        1e-9,
+        np.nextafter(360.0, 0.0),
+        360.0,
+        -720.0,
+    ]
     turns = datum_deg + 360.0 * np.array([-1000.0, -2.0, -1.0, 0.0, 1.0, 3.0])
     beside = [np.nextafter(turns, 1e9), np.nextafter(turns, -1e9)]
     angles = np.concatenate([seam, turns, *beside, np.linspace(-400.0, 800.0, 241)])

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from trueangle.contract.metadata import ANGLE_INPUT, CORRECTION_OUTPUT, TEMPERATURE_INPUT, UNCERTAINTY_OUTPUT
 from trueangle_training.export_poly2d import poly2d_correction
 from trueangle_training.export_separable import separable_outputs
-from trueangle_training.graph import Graph, reduced_angle
+from trueangle_training.graph import Graph, angle_and_datum
 from trueangle_training.methods import FittedModel
 from trueangle_training.methods.poly2d import Poly2dModel
 from trueangle_training.methods.separable import SeparableModel
@@ -29,9 +29,8 @@ MOST_AT_ONCE = 500
 def build_graph(model: FittedModel, budget: UncertaintyBudget = NO_ADDITIONS) -> onnx.ModelProto:
     """The model's correction as an ONNX graph; the same model and budget give the same bytes."""
     graph = Graph()
-    angle = reduced_angle(graph)
+    angle, at_datum = angle_and_datum(graph, model.datum_deg, periodic=isinstance(model, SeparableModel))
     correction, uncertainty = _outputs(graph, model, budget, graph.column(angle))
-    at_datum = graph.node("Equal", [angle, graph.constant("datum_deg", np.array(model.datum_deg))], "at_datum")
     zero = graph.constant("zero", np.array(0.0))
     graph.node("Where", [at_datum, zero, correction], CORRECTION_OUTPUT)
     outputs = [CORRECTION_OUTPUT]

@@ -20,6 +20,8 @@ OPSET = 17
 IR_VERSION = 8
 """The oldest that opset 17 may be stored in, so that older runtimes read the file as well."""
 READINGS_AXIS = "n"
+LOWEST_ZERO_DEG = -(2.0**-45)
+"""Down to here x + 360 rounds to 360 deg, whose unit in the last place below is 2^-44."""
 
 
 class Graph:
@@ -94,3 +96,20 @@ def reduced_angle(graph: Graph) -> str:
     raised = graph.node("Add", [remainder, turn], "remainder_raised_deg")
     positive = graph.node("Where", [negative, raised, remainder], "positive_deg")
     return graph.node("Mod", [positive, turn], "reduced_deg", fmod=1)
+
+
+def angle_and_datum(graph: Graph, datum_deg: float, *, periodic: bool) -> tuple[str, str]:
+    """The angle within a turn, and whether it is the datum's; `periodic`: -90 does for 270 deg."""
+    if periodic and datum_deg == 0.0:
+        # Half the nodes: what the reduction to [0, 360) would make 0 lies in one short range of the remainder.
+        remainder = graph.node(
+            "Mod", [ANGLE_INPUT, graph.constant("turn_deg", np.array(DEG_PER_TURN))], "remainder_deg", fmod=1
+        )
+        ends = [
+            graph.constant("lowest_zero_deg", np.array(LOWEST_ZERO_DEG)),
+            graph.constant("zero_deg", np.array(0.0)),
+        ]
+        limited = graph.node("Clip", [remainder, *ends], "limited_deg")
+        return remainder, graph.node("Equal", [remainder, limited], "at_datum")
+    angle = reduced_angle(graph)
+    return angle, graph.node("Equal", [angle, graph.constant("datum_deg", np.array(datum_deg))], "at_datum")
