@@ -155,7 +155,7 @@ def test_unknown_inputs_do_not_look_like_a_correction(session: onnxruntime.Infer
 def test_nothing_in_the_graph_is_single_precision(model: FeGabpnnModel) -> None:
     graph = build_graph(model).graph
     kinds = {constant.data_type for constant in graph.initializer}
-    assert kinds == {onnx.TensorProto.DOUBLE, onnx.TensorProto.INT64}
+    assert kinds == {onnx.TensorProto.DOUBLE, onnx.TensorProto.INT64, onnx.TensorProto.BOOL}
     assert not [node.op_type for node in graph.node if node.op_type in ("Mul", "Cast")]
 
 

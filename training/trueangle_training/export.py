@@ -12,92 +12,50 @@ from numpy.typing import NDArray
 
 from trueangle.contract.metadata import ANGLE_INPUT, CORRECTION_OUTPUT, TEMPERATURE_INPUT, UNCERTAINTY_OUTPUT
 from trueangle_training.export_poly2d import poly2d_correction
-from trueangle_training.export_separable import separable_correction, spread_square
-from trueangle_training.graph import Graph, reduced_angle
+from trueangle_training.export_separable import separable_outputs
+from trueangle_training.graph import Graph, angle_and_datum
 from trueangle_training.methods import FittedModel
 from trueangle_training.methods.poly2d import Poly2dModel
 from trueangle_training.methods.separable import SeparableModel
-from trueangle_training.uncertainty import SLOPE_STEP_C, UncertaintyBudget, total_uncertainty_arcsec
+from trueangle_training.uncertainty import UncertaintyBudget, total_uncertainty_arcsec
 
 Floats = NDArray[np.float64]
 
 NO_ADDITIONS = UncertaintyBudget()
+MOST_AT_ONCE = 500
+"""Readings a run: each takes its interval's factor of the uncertainty along, 150 kB on the largest plans."""
 
 
 def build_graph(model: FittedModel, budget: UncertaintyBudget = NO_ADDITIONS) -> onnx.ModelProto:
     """The model's correction as an ONNX graph; the same model and budget give the same bytes."""
     graph = Graph()
-    column_axis = graph.constant("column_axis", np.array([1], dtype=np.int64))
-    angle = reduced_angle(graph)
-    angle_column = graph.node("Unsqueeze", [angle, column_axis], "reduced_deg_column")
-    temperature_column = graph.node("Unsqueeze", [TEMPERATURE_INPUT, column_axis], "temperature_c_column")
-    column = _correction(graph, model, angle_column, temperature_column, "")
-    from_datum = graph.node("Squeeze", [column, column_axis], "correction_from_datum")
-    at_datum = graph.node("Equal", [angle, graph.constant("datum_deg", np.array(model.datum_deg))], "at_datum")
-    zero = graph.constant("no_correction", np.array(0.0))
-    graph.node("Where", [at_datum, zero, from_datum], CORRECTION_OUTPUT)
+    angle, at_datum = angle_and_datum(graph, model.datum_deg, periodic=isinstance(model, SeparableModel))
+    correction, uncertainty = _outputs(graph, model, budget, graph.column(angle))
+    zero = graph.constant("zero", np.array(0.0))
+    graph.node("Where", [at_datum, zero, correction], CORRECTION_OUTPUT)
     outputs = [CORRECTION_OUTPUT]
-    if isinstance(model, SeparableModel) and model.spreads:
-        square = _total_square(graph, model, budget, angle_column, temperature_column)
-        away = graph.node("Squeeze", [graph.node("Sqrt", [square], "total_column"), column_axis], "total")
-        known = graph.node("Where", [at_datum, zero, away], "uncertainty_where_known")
-        # A limited ramp takes NaN for a number; an unknown correction must not look certain.
-        unknown = graph.node("IsNaN", [CORRECTION_OUTPUT], "correction_is_unknown")
-        graph.node("Where", [unknown, CORRECTION_OUTPUT, known], UNCERTAINTY_OUTPUT)
+    if uncertainty is not None:
+        graph.node("Where", [at_datum, zero, uncertainty], UNCERTAINTY_OUTPUT)
         outputs.append(UNCERTAINTY_OUTPUT)
     return graph.model("correction", [ANGLE_INPUT, TEMPERATURE_INPUT], outputs)
 
 
-def _correction(graph: Graph, model: FittedModel, angle_column: str, temperature_column: str, prefix: str) -> str:
-    """Minus the error as nodes, shape [n, 1]."""
+def _outputs(
+    graph: Graph, model: FittedModel, budget: UncertaintyBudget, angle_column: str
+) -> tuple[str, str | None]:
+    """Minus the error and, where the method has it, the uncertainty, [n] each; not yet 0 at the datum."""
     if isinstance(model, SeparableModel):
-        return separable_correction(
-            graph, model, angle_column=angle_column, temperature_column=temperature_column, prefix=prefix
-        )
+        return separable_outputs(graph, model, budget, angle_column)
     if isinstance(model, Poly2dModel):
-        return poly2d_correction(
-            graph, model, angle_column=angle_column, temperature_column=temperature_column, prefix=prefix
-        )
+        return poly2d_correction(graph, model, angle_column), None
     # Here, because it draws in torch, which separable models do without.
     from trueangle_training.export_network import network_correction
     from trueangle_training.methods.fe_gabpnn_paper import FeGabpnnModel
 
     if isinstance(model, FeGabpnnModel):
-        return network_correction(
-            graph, model, angle_column=angle_column, temperature_column=temperature_column, prefix=prefix
-        )
+        return network_correction(graph, model, angle_column), None
     raise TypeError(
         f"export: expected a separable model, a polynomial or the paper's network, found {type(model).__name__}"
-    )
-
-
-def _total_square(
-    graph: Graph, model: SeparableModel, budget: UncertaintyBudget, angle_column: str, temperature_column: str
-) -> str:
-    """u² of the corrected angle, shape [n, 1], as in `uncertainty`."""
-    total = graph.constant("reference_squared", np.array([[budget.reference_arcsec**2]]))
-    for number, spread in enumerate(model.spreads, start=1):
-        square = spread_square(
-            graph,
-            spread,
-            datum_deg=model.datum_deg,
-            angle_column=angle_column,
-            temperature_column=temperature_column,
-            name=f"spread_{number}",
-        )
-        total = graph.node("Add", [total, square], f"with_spread_{number}")
-    if budget.temperature_c == 0.0:
-        return total
-    step = graph.constant("slope_step_c", np.array([SLOPE_STEP_C]))
-    above_c = graph.node("Add", [temperature_column, step], "temperature_above")
-    below_c = graph.node("Sub", [temperature_column, step], "temperature_below")
-    above = _correction(graph, model, angle_column, above_c, "above_")
-    below = _correction(graph, model, angle_column, below_c, "below_")
-    difference = graph.node("Sub", [above, below], "difference_over_temperature")
-    factor = graph.constant("sensor_factor", np.array([[budget.temperature_c / (2.0 * SLOPE_STEP_C)]]))
-    by_sensor = graph.node("MatMul", [difference, factor], "by_sensor")
-    return graph.node(
-        "Add", [total, graph.node("Mul", [by_sensor, by_sensor], "by_sensor_squared")], "with_sensor"
     )
 
 
@@ -125,8 +83,7 @@ def check_agreement(
     onnxruntime.disable_telemetry_events()
     session = onnxruntime.InferenceSession(proto_bytes, providers=["CPUExecutionProvider"])
     names = [output.name for output in session.get_outputs()]
-    feeds = {ANGLE_INPUT: angle_deg, TEMPERATURE_INPUT: temperature_c}
-    served = dict(zip(names, session.run(names, feeds), strict=True))
+    served = dict(zip(names, _run(session, names, angle_deg, temperature_c), strict=True))
     expected = {CORRECTION_OUTPUT: -model.error_arcsec(angle_deg, temperature_c)}
     uncertainty = total_uncertainty_arcsec(model, budget, angle_deg, temperature_c)
     if uncertainty is not None:
@@ -134,6 +91,17 @@ def check_agreement(
     if served.keys() != expected.keys():
         return float("inf")
     return max(_largest_difference(np.asarray(served[name]), expected[name]) for name in expected)
+
+
+def _run(
+    session: onnxruntime.InferenceSession, names: list[str], angle_deg: Floats, temperature_c: Floats
+) -> list[Floats]:
+    parts: list[list[Floats]] = []
+    for first in range(0, max(angle_deg.size, 1), MOST_AT_ONCE):
+        some = slice(first, first + MOST_AT_ONCE)
+        feeds = {ANGLE_INPUT: angle_deg[some], TEMPERATURE_INPUT: temperature_c[some]}
+        parts.append([np.asarray(answer) for answer in session.run(names, feeds)])
+    return [np.concatenate(columns) for columns in zip(*parts, strict=True)]
 
 
 def _largest_difference(served: Floats, expected: Floats) -> float:
