@@ -1,4 +1,5 @@
-"""The service as a process, six healthy nodes on a socketcand: time to listen, to angles, to stop; memory; reload.
+"""The service as a process, six healthy nodes on a socketcand: time to listen, to angles, to stop; memory; reload;
+how old the angles are that a PLC reads, and how soon it sees that a joint has fallen silent.
 
 Wall-clock of a whole process on this machine: quote with its load.
 """
@@ -8,6 +9,7 @@ import os
 import re
 import signal
 import statistics
+import struct
 import tempfile
 import time
 from asyncio.subprocess import DEVNULL, PIPE, Process
@@ -25,6 +27,10 @@ from trueangle.edges.onnx_model import load_model
 ROUNDS, JOINTS = 5, 6
 LIMIT_S = 60.0
 ALL_VALID = 1
+STALE_MS, SYNC_MS = 50, 10
+READS = 1000
+FIRST_SLOT, SLOT_REGISTERS, AGE = 10, 12, 10
+"""0-based, of deploy/registers.md: where slot 1 stands, and its age in ms within a slot."""
 
 
 def write_models(folder: Path) -> list[str]:
@@ -51,6 +57,31 @@ async def answered(plc: ModbusTcpClient, true: int) -> float:
             await asyncio.sleep(0.002)
 
 
+async def ages_ms(plc: ModbusTcpClient) -> list[int]:
+    """What a PLC that reads every 2 ms is told of the ages of all six angles."""
+    ages: list[int] = []
+    for _ in range(READS):
+        answer = await plc.ask(read_request(4, FIRST_SLOT, JOINTS * SLOT_REGISTERS))
+        words = struct.unpack(f">{JOINTS * SLOT_REGISTERS}H", answer[9:])
+        ages += words[AGE::SLOT_REGISTERS]
+        await asyncio.sleep(0.002)
+    return ages
+
+
+async def silence_ms(plc: ModbusTcpClient, node: EncoderNode, sampled_s: list[float]) -> float:
+    """From the last sample of a node that falls silent to the marker that a PLC reads in its angle's place."""
+    node.deaf = True
+    async with asyncio.timeout(LIMIT_S):
+        while True:
+            answer = await plc.ask(read_request(4, FIRST_SLOT + 3, 2))
+            if struct.unpack(">i", answer[9:])[0] == -(2**31):
+                break
+            await asyncio.sleep(0.001)
+    passed_ms = (time.monotonic() - sampled_s[-1]) * 1e3
+    node.deaf = False
+    return passed_ms
+
+
 async def line_with(process: Process, text: str) -> str:
     assert process.stderr is not None
     async with asyncio.timeout(LIMIT_S):
@@ -72,8 +103,8 @@ def cpu_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-async def one_round(config: Path) -> dict[str, float]:
-    """Seconds and MiB of one life."""
+async def one_round(config: Path, node: EncoderNode, sampled_s: list[float]) -> dict[str, float]:
+    """Seconds and MiB of one life; `node` falls silent in it, `sampled_s` are the times of its samples."""
     figures: dict[str, float] = {}
     begun_s = time.monotonic()
     process = await asyncio.create_subprocess_exec(
@@ -86,11 +117,14 @@ async def one_round(config: Path) -> dict[str, float]:
     figures["CPU until then s"] = cpu_s(process.pid)
     figures["six valid angles s"] = await answered(plc, ALL_VALID) - begun_s
     figures["resident MiB"] = resident_mib(process.pid)
+    ages = sorted(await ages_ms(plc))
+    figures["age of served angles, p50, ms"], figures["the same, at most, ms"] = ages[len(ages) // 2], ages[-1]
     process.send_signal(signal.SIGHUP)
     reloaded = re.search(r"took_s=([0-9.]+)", await line_with(process, "event=reloaded kept=6"))
     assert reloaded is not None
     figures["reload, nothing changed s"] = float(reloaded[1])
     figures["resident MiB after it"] = resident_mib(process.pid)
+    figures["silent joint marked after ms"] = await silence_ms(plc, node, sampled_s)
     await plc.close()
     begun_s = time.monotonic()
     process.send_signal(signal.SIGTERM)
@@ -101,7 +135,14 @@ async def one_round(config: Path) -> dict[str, float]:
 
 async def measured(folder: Path) -> list[dict[str, float]]:
     models = write_models(folder)
-    nodes = [EncoderNode(i, lambda _id, _data: None, counts=lambda _: 1_234_567) for i in range(1, JOINTS + 1)]
+    sampled_s = [0.0]
+
+    def first_counts(_: int) -> int:
+        sampled_s[:] = [time.monotonic()]
+        return 1_234_567
+
+    nodes = [EncoderNode(1, lambda _id, _data: None, counts=first_counts)]
+    nodes += [EncoderNode(i, lambda _id, _data: None, counts=lambda _: 1_234_567) for i in range(2, JOINTS + 1)]
     config = folder / "arm.yaml"
     rounds: list[dict[str, float]] = []
     for _ in range(ROUNDS):
@@ -113,8 +154,8 @@ async def measured(folder: Path) -> list[dict[str, float]]:
             options = f"{{host: 127.0.0.1, port: {bus.port}}}"
             joints = [joint_yaml(i, f"joint {i}", model=model) for i, model in enumerate(models, start=1)]
             text = config_yaml(*joints, interface="socketcand", channel="can0", options=options)
-            config.write_text(text, "utf-8")
-            rounds.append(await one_round(config))
+            config.write_text(text.replace("stale_ms: 500", f"stale_ms: {STALE_MS}"), "utf-8")
+            rounds.append(await one_round(config, nodes[0], sampled_s))
     return rounds
 
 
@@ -126,6 +167,9 @@ def main() -> None:
         values = [figures[name] for figures in rounds]
         spread = f"{min(values):.2f} to {max(values):.2f}"
         print(f"{name}: {statistics.median(values):.2f} (median of {ROUNDS}; {spread})")
+    print(
+        f"SYNC every {SYNC_MS} ms, stale_ms: {STALE_MS}; a silent joint is to be marked within {STALE_MS + 10} ms"
+    )
 
 
 if __name__ == "__main__":
