@@ -4,7 +4,7 @@ The short form of `python -m tests.fuzz --only true_angles`. What each world is 
 """
 
 import pytest
-from tests.fuzz.true_angles import served_in_worlds
+from tests.fuzz.true_worlds import served_in_worlds
 
 from trueangle.core.joint_line import JointLine
 

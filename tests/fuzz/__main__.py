@@ -20,7 +20,7 @@ from tests.fuzz.memory import MemoryTrack
 from tests.fuzz.modbus import ModbusFuzz
 from tests.fuzz.node_frames import hear_frames
 from tests.fuzz.texts import TextFuzz
-from tests.fuzz.true_angles import Worlds
+from tests.fuzz.true_worlds import Worlds
 
 COUNTS = {
     "modbus_tcp": 450_000,

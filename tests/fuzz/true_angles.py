@@ -10,7 +10,7 @@ import math
 import random
 import struct
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 from tests.fakes.register_values import joint_identity
 from tests.fuzz.true_joints import (
@@ -425,29 +425,3 @@ class TruthFuzz:
         if StatusBit.HEAD_LOST in status:
             self.served["head lost"] += 1
         assert min(ways) - allowed <= off_deg <= max(ways) + allowed, f"off {off_deg * 3600:.1f} arcsec; {told}"
-
-
-def served_in_worlds(seeds: Iterable[int], periods: int) -> Counter[str]:
-    """How often each way of serving was met in so many periods of each world; AssertionError names a finding."""
-    served: Counter[str] = Counter()
-    for seed in seeds:
-        fuzz = TruthFuzz(random.Random(seed))
-        for _ in range(periods):
-            fuzz.some_time()
-        served += fuzz.served
-    return served
-
-
-class Worlds:
-    """One world after the other; `some_time` is one period of the present one."""
-
-    def __init__(self, rng: random.Random) -> None:
-        self._rng, self._left = rng, 1000
-        self._world = TruthFuzz(rng)
-
-    def some_time(self) -> int:
-        """One period; 1."""
-        if not self._left:
-            self._left, self._world = 1000, TruthFuzz(self._rng)
-        self._left -= 1
-        return self._world.some_time()
