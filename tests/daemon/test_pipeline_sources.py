@@ -289,3 +289,21 @@ def test_sync_of_another_bus_between_two_heads_does_not_fuse_half_a_sample(secon
         if cycle > 2:
             seen.add(line.status(1))
     assert seen == {GOOD}
+
+
+def test_heads_of_a_bus_whose_sync_ceased_do_not_hold_up_the_cycles_of_another_bus() -> None:
+    leg = joint(2, more=HEADS).replace("bus: arm", "bus: leg")
+    line = Line(joint(1) + leg, buses=("arm", "leg"))
+    line.feed((0x281, struct.pack("<h", 2500)))
+    for _ in range(3):
+        line.pipeline.on_sync("leg", line.now_ns)
+        line.feed(position(2, 0), position(9, 1_638_400), bus="leg")
+        line.cycle(1)
+    line.pipeline.on_sync("leg", line.now_ns)  # the last one, and nobody answers it any more
+    line.run(0.2, 1)
+    images = len(line.images)
+    line.pipeline.on_sync("arm", line.now_ns)
+    line.now_ns += MS
+    line.feed(position(1))
+    assert len(line.images) == images + 1
+    assert line.pipeline.states[1].age_ms == pytest.approx(1.0)

@@ -312,13 +312,18 @@ class Pipeline:
         kept: set[int] = set()
         for joint in self._fused:
             awaited = self._awaited.intersection(head.key for head in joint.heads)
-            if awaited and bus not in (None, joint.channel.bus):
+            if awaited and bus not in (None, joint.channel.bus) and self._may_answer(joint, now_ns):
                 kept |= awaited  # half a sample is none, and another bus says nothing of its other half
             else:
                 joint.fuse()
         self._awaited = kept
         self.counters.cycles += 1
         self._serve(now_ns)
+
+    def _may_answer(self, joint: JointLine, now_ns: int) -> bool:
+        """Whether its bus's last SYNC is so young that its heads may still answer it."""
+        last_ns = self._syncs[joint.channel.bus].last_ns
+        return last_ns is not None and now_ns - last_ns <= joint.channel.limits.stale_ms * 1e6
 
     def _check_day(self, now_ns: int) -> None:
         if self._today is None or (

@@ -147,16 +147,19 @@ class SocketcanLink:
     def _arrival_ns(self, ancillary: list[tuple[int, int, bytes]]) -> int:
         """When the frame came, monotonic: not before the socket was last empty, not after now.
 
-        Where the kernel does not tell, now; where the wall clock was set meanwhile, as early as can be.
+        Where the kernel does not tell, now; where the wall clock was set meanwhile, before or behind the frame,
+        the earlier time that can be.
         """
         now_ns = time.monotonic_ns()
         for level, kind, data in ancillary:
             if (level, kind) == (socket.SOL_SOCKET, _SO_TIMESTAMPNS) and len(data) == _TIMESPEC.size:
-                if abs(time.time_ns() - now_ns - self._wall_ahead_ns) > CLOCK_SET_NS:
-                    return self._emptied_ns
                 seconds, nanoseconds = _TIMESPEC.unpack(data)
-                came_ns = seconds * 1_000_000_000 + nanoseconds - self._wall_ahead_ns
-                return max(self._emptied_ns, min(came_ns, now_ns))
+                wall_ns, ahead_ns = seconds * 1_000_000_000 + nanoseconds, time.time_ns() - now_ns
+                came_ns = wall_ns - self._wall_ahead_ns
+                if abs(ahead_ns - self._wall_ahead_ns) <= CLOCK_SET_NS:
+                    return max(self._emptied_ns, min(came_ns, now_ns))
+                can_be = [at for at in (came_ns, wall_ns - ahead_ns) if self._emptied_ns <= at <= now_ns]
+                return min(can_be, default=self._emptied_ns)
         return now_ns
 
     def _count_flagged(self, can_id: int, data: bytes) -> None:
